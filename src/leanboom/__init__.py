@@ -1,0 +1,63 @@
+"""leanboom plans the motion of redundant hydraulic cranes so that the pump uses the least energy.
+
+import leanboom as lb
+
+task = lb.load_task("forwarder-vertical")
+motion = lb.plan(task, pump="ls")
+print(lb.evaluate(task, motion))
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from leanboom.errors import InfeasibleError, InputError, LeanboomError
+    from leanboom.judge import Evaluation, evaluate
+    from leanboom.files import bundled_machines, bundled_tasks, load_machine, load_task
+    from leanboom.machine import Machine
+    from leanboom.motion import Motion
+    from leanboom.planner import Plan, plan, run
+    from leanboom.task import Task
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Evaluation": "judge", "InfeasibleError": "errors", "InputError": "errors", "LeanboomError": "errors",
+    "Machine": "machine", "Motion": "motion", "Plan": "planner", "Task": "task", "bundled_machines": "files",
+    "bundled_tasks": "files", "evaluate": "judge", "load_machine": "files", "load_task": "files",
+    "plan": "planner", "run": "planner",
+}  # fmt: skip
+
+__all__ = [
+    "Evaluation",
+    "InfeasibleError",
+    "InputError",
+    "LeanboomError",
+    "Machine",
+    "Motion",
+    "Plan",
+    "Task",
+    "bundled_machines",
+    "bundled_tasks",
+    "evaluate",
+    "load_machine",
+    "load_task",
+    "plan",
+    "run",
+]
+
+
+def __getattr__(name: str):
+    """Import public names when they are first used: starting up stays quick."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'leanboom' has no attribute {name!r}")
+    from importlib import import_module
+
+    value = getattr(import_module(f"leanboom.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,273 @@
+"""The command line: `leanboom plan`, `check`, `machines`, `tasks`.
+
+Results go to standard output, for people as tables and with `--json` as one object and nothing else; progress and
+problems go to standard error. Exit codes: 0 done, 1 no feasible motion, 2 bad input, 130 interrupted. Whatever a
+command needs is imported when it runs, so that help comes at once.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal, NoReturn
+
+import typer
+from typer.core import TyperGroup
+
+from leanboom.errors import InputError, LeanboomError
+
+INTERRUPTED = 130  # exit code of a process ended by Ctrl-C
+PATIENCE = 1.0  # [s], a command that takes longer says what it does
+
+_GRID = re.compile(r"(\d{1,6})[xX](\d{1,6})")
+
+
+class _Guarded(TyperGroup):
+    """Commands whose refusals end as one message and an exit code, never as a traceback."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except LeanboomError as error:
+            _complain(error)
+            raise typer.Exit(error.exit_code) from None
+        except KeyboardInterrupt:
+            _complain("interrupted")
+            raise typer.Exit(INTERRUPTED) from None
+
+
+app = typer.Typer(
+    cls=_Guarded,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
+
+
+def main() -> NoReturn:
+    """Run the command line and end the process with its exit code."""
+    try:
+        sys.exit(app())
+    except KeyboardInterrupt:  # before or after a command
+        sys.exit(INTERRUPTED)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"leanboom {version('leanboom')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _leanboom(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Energy-optimal motion planning for redundant hydraulic cranes."""
+
+
+@app.command()
+def plan(
+    task: Annotated[str, typer.Argument(metavar="TASK", help="A bundled task (see: leanboom tasks) or a task file.")],
+    pump: Annotated[
+        Literal["ls", "cp"], typer.Option(help="Whose energy counts: load-sensing or constant-pressure pump.")
+    ] = "ls",
+    cost: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="What to minimise, if not the pump's energy: ls, cp, actuator, velocity, extension, recuperation.",
+        ),
+    ] = None,
+    method: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="dp (the global optimum), polish, dp-paper, dp1, sns-joint, sns-actuator, sns-actuator-weighted.",
+        ),
+    ] = "dp",
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WHERE",
+            help="Where the extension starts: smallest, middle, best, or a length such as '0.45 m'. "
+            "By default what the task says.",
+        ),
+    ] = None,
+    grid: Annotated[
+        str, typer.Option(metavar="PxV", help="Positions and velocities of the extension on the coarse grid.")
+    ] = "201x101",
+    step: Annotated[str, typer.Option(metavar="TIME", help="Length of a stage, in seconds.")] = "0.05",
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Write a run folder: report, trajectory, task, machine and summary."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Plan the motion that takes the least pump energy."""
+    nodes, seconds = _settings(grid, step)
+    from leanboom import files, runfolder
+
+    if out is not None:
+        runfolder.check(out)
+    asked = files.load_task(task, start=start)
+    from leanboom import planner
+
+    with _Progress() as tell:
+        result = planner.run(asked, pump=pump, cost=cost, method=method, grid=nodes, step=seconds, progress=tell)
+        if out is not None:
+            tell("writing the run folder", 1.0)
+            runfolder.write(result, out, nodes)
+    if as_json:
+        _print_json(runfolder.summary(result, out))
+    else:
+        from leanboom import tables
+
+        source = asked.machine.name if task in files.bundled_tasks() else task
+        tables.plan(tables.output(), result, out, source)
+    if not result.evaluation.feasible:
+        _complain(result.evaluation.status)
+        raise typer.Exit(1)
+
+
+@app.command()
+def check(
+    names: Annotated[
+        list[str], typer.Argument(metavar="FILE...", help="Machine or task files, or names of bundled ones.")
+    ],
+) -> None:
+    """Check machine and task files; say where their values come from."""
+    from leanboom import inspection, tables
+    from leanboom.machine import Machine
+
+    console = tables.output()
+    code = 0
+    for name in names:
+        try:
+            found = inspection.load(name)
+            tables.checked_machine(console, name, found) if isinstance(found, Machine) else tables.checked_task(
+                console, name, found
+            )
+        except LeanboomError as error:
+            _complain(error)
+            code = max(code, error.exit_code)
+    if code:
+        raise typer.Exit(code)
+
+
+@app.command()
+def machines(
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="A bundled machine or a machine file to show in detail.")] = None,
+    as_json: Json = False,
+) -> None:
+    """List the bundled machines, or show one in detail."""
+    from leanboom import files, tables
+
+    names = files.bundled_machines() if name is None else (name,)
+    found = [files.load_machine(each) for each in names]
+    if as_json:
+        rows = [tables.machine_facts(machine) for machine in found]
+        _print_json(rows if name is None else rows[0])
+    elif name is None:
+        tables.machine_list(tables.output(), found)
+    else:
+        tables.machine_detail(tables.output(), found[0])
+
+
+@app.command()
+def tasks(
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="A bundled task or a task file to show in detail.")] = None,
+    as_json: Json = False,
+) -> None:
+    """List the bundled tasks, or show one in detail."""
+    from leanboom import files, tables
+
+    names = files.bundled_tasks() if name is None else (name,)
+    found = [files.load_task(each) for each in names]
+    if as_json:
+        rows = [tables.task_facts(task) for task in found]
+        _print_json(rows if name is None else rows[0])
+    elif name is None:
+        tables.task_list(tables.output(), found)
+    else:
+        tables.task_detail(tables.output(), found[0])
+
+
+def _settings(grid: str, step: str) -> tuple[tuple[int, int], float]:
+    """Grid nodes and stage length [s] as given on the command line."""
+    from leanboom.units import KINDS, parse
+
+    problems = []
+    nodes = _GRID.fullmatch(grid.strip())
+    if nodes is None:
+        problems.append(f"grid = {grid}; must be positions x velocities, such as 201x101")
+    seconds = parse(step, KINDS["time"])
+    if seconds is None or seconds <= 0.0:
+        problems.append(f"step = {step}; must be a time above 0, such as 0.05 or '50 ms'")
+    if nodes is None or seconds is None or problems:
+        raise InputError("\n".join(problems))
+    return (int(nodes[1]), int(nodes[2])), seconds
+
+
+def _print_json(value: Any) -> None:
+    import json
+
+    typer.echo(json.dumps(value, indent=2, allow_nan=False))
+
+
+def _complain(error: LeanboomError | str) -> None:
+    """One message on standard error, without control characters of file names."""
+    text = "".join(c if c.isprintable() or c == "\n" else "?" for c in str(error))
+    typer.echo(f"leanboom: {text}", err=True)
+
+
+class _Progress:
+    """What a command does at the moment, on standard error.
+
+    A terminal gets a bar. Elsewhere one line tells of a beginning that takes long, such as the first compilation.
+    """
+
+    def __init__(self) -> None:
+        self._bar: Any = None
+        self._timer: Any = None
+
+    def __enter__(self) -> _Progress:
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+            columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+            self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
+            self._bar.start()
+            self._task = self._bar.add_task("starting", total=1.0)
+        return self
+
+    def __call__(self, text: str, fraction: float) -> None:
+        """Show what happens and the share done."""
+        if self._bar is not None:
+            self._bar.update(self._task, description=text, completed=fraction)
+            return
+        self._quiet()
+        if fraction == 0.0:
+            from threading import Timer
+
+            self._timer = Timer(PATIENCE, typer.echo, (f"leanboom: {text}",), {"err": True})
+            self._timer.daemon = True
+            self._timer.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._quiet()
+        if self._bar is not None:
+            self._bar.stop()
+
+    def _quiet(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None

@@ -1,0 +1,21 @@
+"""What leanboom raises: one base class, one class per exit code of the command line."""
+
+from __future__ import annotations
+
+
+class LeanboomError(Exception):
+    """Base of everything leanboom raises on purpose; its text is meant for the user."""
+
+    exit_code = 2
+
+
+class InputError(LeanboomError):
+    """A file, an argument or an option that cannot be used; the text says what to change."""
+
+    exit_code = 2
+
+
+class InfeasibleError(LeanboomError):
+    """No motion satisfies the limits; the text names stage, time, limit and amount."""
+
+    exit_code = 1

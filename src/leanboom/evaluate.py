@@ -1,0 +1,3 @@
+"""Moved to judge."""
+
+from leanboom.judge import *  # noqa: F403

@@ -1,0 +1,168 @@
+"""What can be said about a machine or task before anything is planned: origin of its values, reach, pressures.
+
+The pressures are static: the cylinder force that carries the crane's own weight in the pose of longest reach, on the
+machine's valve. They show slips in masses, lengths and bores that no single value gives away.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from leanboom import crane as cranes
+from leanboom import files, hydraulics, kinematics, linkages
+from leanboom.errors import InputError
+from leanboom.machine import Body, Machine
+from leanboom.source import read, shortened
+from leanboom.task import sample
+
+if TYPE_CHECKING:
+    from leanboom.task import Task
+
+STATUSES = ("printed", "derived", "identified", "assumed", "unstated")
+_ANGLES = 241  # poses looked at for the reach, each way
+_TRIAL = 1000.0  # [kg], forces are affine in the payload
+
+
+def count(machine: Machine) -> dict[str, int]:
+    """How many of a machine's values have each status of `STATUSES`.
+
+    Args:
+        machine: The machine, with its provenance.
+    """
+    found = Counter(entry.status for entry in machine.provenance)
+    return {status: found[status] for status in STATUSES}
+
+
+def assumed(machine: Machine) -> str:
+    """How much of a machine is assumed, as a sentence.
+
+    Args:
+        machine: The machine, with its provenance.
+    """
+    counts, total = count(machine), len(machine.provenance)
+    if not total:
+        return "the machine's values do not say where they come from"
+    text = f"{counts['assumed']} of {total} machine values are assumed"
+    return text + (f", {counts['unstated']} do not say where they come from" if counts["unstated"] else "")
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """The pose of longest reach, and what it takes to hold the crane in it; cylinders in joint order."""
+
+    radius: float  # largest tool distance from the slewing axis [m]
+    tool_height: float  # in that pose [m]
+    highest: float  # largest tool height in any pose [m]
+    pressure: tuple[float, ...]  # of the driven chamber, no payload [Pa]
+    capacity: float  # largest payload at the pump's highest pressure less the margin [kg]
+
+
+def reach(machine: Machine) -> Reach:
+    """The longest reach of a machine and the static pressures there.
+
+    Args:
+        machine: The machine.
+    """
+    g = machine.geometry
+    lift, tilt, extension = machine.joints[-3:]
+    q2, q3 = np.meshgrid(np.linspace(lift.lower, lift.upper, _ANGLES), np.linspace(tilt.lower, tilt.upper, _ANGLES))
+    r, z = kinematics.tool_point(q2, q3, extension.upper, g.base_x, g.base_z, g.boom, g.offset, g.outer)
+    at = np.unravel_index(int(r.argmax()), r.shape)
+    joints = (float(q2[at]), float(q3[at]), extension.upper)
+    empty = _pressures(machine, joints, 0.0)
+    loaded = _pressures(machine, joints, _TRIAL)
+    room = machine.pump.max_pressure - machine.pump.ls_margin
+    masses = [
+        _TRIAL * (room - p) / (q - p) for p, q in zip(empty[-3:-1], loaded[-3:-1], strict=True) if q > p + 1.0
+    ]
+    return Reach(float(r[at]), float(z[at]), float(z.max()), empty, max(0.0, min(masses, default=0.0)))
+
+
+def _pressures(machine: Machine, joints: tuple[float, float, float], payload: float) -> tuple[float, ...]:
+    """Static pressures [Pa] that carry the crane and a payload [kg] in a pose; 0 for a base."""
+    load = Body("payload", "tilt", payload, machine.payload_along, machine.payload_above, 0.0, 1.0)
+    drives = hydraulics.drives(machine)
+    crane = cranes.Crane(machine, (*machine.bodies, load), drives)
+    _, torques = cranes.inertia_and_gravity(crane, *joints)
+    found = []
+    for cylinder, drive, q, torque in zip(machine.cylinders[-3:], drives[-3:], joints, torques, strict=True):
+        force = float(torque) / float(linkages.cylinder(cylinder.linkage, q)[1])
+        out, back = drive.gain_out * force + drive.back_out, drive.back_in - drive.gain_in * force
+        found.append(max(0.0, out if force >= 0.0 else back))
+    return (0.0,) * (len(machine.cylinders) - 3) + tuple(found)
+
+
+def doubts(machine: Machine) -> tuple[str, ...]:
+    """What looks wrong with a machine, one sentence each; nothing here is an error.
+
+    Args:
+        machine: The machine.
+    """
+    pump, found = machine.pump, []
+    for name, pressure in zip(machine.names, reach(machine).pressure, strict=True):
+        if pressure + pump.ls_margin > pump.max_pressure:
+            found.append(
+                f"holding the empty crane at full reach takes {pressure / 1e6:.1f} MPa in the {name} cylinder, and "
+                f"{pump.ls_margin / 1e6:.1f} MPa margin, but the pump gives {pump.max_pressure / 1e6:.1f} MPa"
+            )
+    return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class PathFacts:
+    """A task's path in numbers."""
+
+    length: float  # [m]
+    fastest: float  # largest tool speed [m/s]
+    start: tuple[float, float]  # smallest and largest feasible start of the extension cylinder [m]
+
+
+def path(task: Task) -> PathFacts:
+    """The path of a task in numbers, checked for reach all along.
+
+    Args:
+        task: The task.
+
+    Raises:
+        InfeasibleError: If the tool cannot be everywhere on its path, whatever the extension.
+    """
+    from leanboom import stages
+
+    time = np.linspace(0.0, task.duration, 1001)
+    points = sample(task, time)
+    length = float(np.linalg.norm(np.diff(points.point, axis=0), axis=1).sum())
+    problem = stages.discretise(task, max(0.05, task.duration / 400.0))
+    fastest = float(np.linalg.norm(points.velocity, axis=1).max())
+    return PathFacts(length, fastest, (float(problem.lower[0]), float(problem.upper[0])))
+
+
+def load(name: str) -> Machine | Task:
+    """The machine or the task of a bundled name or a file, whichever it is.
+
+    Args:
+        name: Bundled name or path of a file.
+
+    Raises:
+        InputError: There is no such thing, or its file has problems; all of them are named.
+    """
+    if name in files.bundled_machines():
+        return files.load_machine(name)
+    if name in files.bundled_tasks():
+        return files.load_task(name)
+    try:
+        is_file = Path(name).is_file()
+    except (OSError, ValueError):  # a name no file can have
+        is_file = False
+    if not is_file:
+        raise InputError(
+            f"{shortened(name, 200) or 'nothing'}: is no file and no bundled name; "
+            f"machines: {', '.join(files.bundled_machines())}; tasks: {', '.join(files.bundled_tasks())}"
+        )
+    keys = read(Path(name), name).data
+    is_task = isinstance(keys, dict) and ("path" in keys or "machine" in keys)
+    return files.load_task(name) if is_task else files.load_machine(name)

@@ -1,0 +1,207 @@
+"""A hydraulic crane as data: geometry, joints, linkages, cylinders, bodies, pump.
+
+Everything here is SI, immutable and free of behaviour beyond trivial derived values. Files become
+these types in `files.py`; the formulas that use them are in `kinematics`, `linkages`, `dynamics` and
+`hydraulics`; `crane.py` puts the two together.
+
+The cranes covered have an optional slewing base, a lift joint, a tilt joint with an optional offset and
+a telescoping extension, the redundant joint. Joint order is always base (if any), lift, tilt, extension.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+
+class Connection(Enum):
+    """How a cylinder's chambers are connected to its valve, which decides the pump flow it needs."""
+
+    STANDARD = "standard"  # A v extending, B |v| retracting
+    SINGLE_ACTING = "single_acting"  # rod side drained: no pump flow retracting
+    DIFFERENTIAL = "differential"  # regenerative: (A - B) v extending, B |v| retracting
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """Lengths of the boom in its own vertical plane [m]; DH Table 2 (4-DOF paper), Table 1 (3-DOF paper)."""
+
+    base_x: float  # o_x, slewing axis to lift joint, horizontally
+    base_z: float  # o_y of the papers, base to lift joint, vertically
+    boom: float  # L1, lift joint to tilt joint
+    offset: float  # L2 of the 4-DOF paper: tilt joint to extension axis; 0 for the 3-DOF crane
+    outer: float  # L3 (L2 of the 3-DOF paper): tilt joint to tool at zero extension
+    slewing: bool  # whether joint `base` exists; without it the tool stays in the plane y = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """One joint and its range: [rad], or [m] for the extension."""
+
+    name: str  # base, lift, tilt, extension
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True, slots=True)
+class RackAndPinion:
+    """Constant torque arm [m]: the pinion's pitch radius."""
+
+    arm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Triangle:
+    """Cylinder spanning a joint: c^2 = long^2 + short^2 - 2 long short cos(q + angle). Eq. (13), eq. (30)."""
+
+    long: float  # [m]
+    short: float  # [m]
+    angle: float  # [rad]; q(0) of eq. (30), pi/2 - b11 - b12 of eq. (13)
+
+
+@dataclass(frozen=True, slots=True)
+class FourBar:
+    """Cylinder driving a joint through lever and coupler, eq. (14); names as in the 4-DOF paper [m, rad]."""
+
+    L21: float
+    L22: float
+    L23: float
+    L24: float
+    L25: float
+    a21: float
+    a22: float
+    b21: float
+
+
+@dataclass(frozen=True, slots=True)
+class Polynomial:
+    """Cylinder length as a polynomial of the joint angle, highest power first; the quintic of eq. (14) [m]."""
+
+    coefficients: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Telescope:
+    """Extension cylinder: length = ratio x joint; 1/2 where a chain doubles the stroke (r4 of the paper)."""
+
+    ratio: float
+
+
+Linkage = RackAndPinion | Triangle | FourBar | Polynomial | Telescope
+
+
+@dataclass(frozen=True, slots=True)
+class Friction:
+    """Cylinder friction: (coulomb x steps(q) x tanh(sharpness v) + viscous v). Eqs. (A3)-(A4) for the steps."""
+
+    coulomb: float  # [N]
+    sharpness: float  # K of the tanh [s/m], acting on the cylinder's velocity (see `joint_velocity`)
+    viscous: float = 0.0  # [N s/m]
+    steps: tuple[float, float, float, float] | None = None  # q_f1..q_f4 [m], extension joint positions
+    joint_velocity: bool = False  # the tanh sees the joint's velocity instead, as eq. (A3) is printed
+
+
+@dataclass(frozen=True, slots=True)
+class Cylinder:
+    """One hydraulic cylinder, its linkage, its connection and its limits."""
+
+    name: str  # name of the joint it moves
+    piston_area: float  # A_A [m^2]
+    rod_side_area: float  # A_B [m^2]
+    stroke: float  # [m]
+    linkage: Linkage
+    connection: Connection
+    friction: Friction
+    velocity_limit: float  # [m/s], both ways
+    acceleration_limit: float  # [m/s^2], both ways
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """A rigid body: where its mass sits and what carries it.
+
+    `along` is measured on the carrying link's line (lift: from the lift joint towards the tilt joint;
+    tilt: from the tilt joint along the extension axis direction), `above` perpendicular to it, upwards.
+    """
+
+    name: str
+    carrier: str  # base, lift, tilt (outer boom, which also carries what telescopes)
+    mass: float  # [kg]
+    along: float  # [m]
+    above: float  # [m]
+    inertia: float  # about the own centre of mass, in the boom plane (vertical axis for `base`) [kg m^2]
+    extension_share: float = 0.0  # moves along by this share of the extension joint: 0, 1/2, 1
+
+
+@dataclass(frozen=True, slots=True)
+class MobileValve:
+    """Pressure-compensated mobile valve: steady state of eqs. (23)-(24) and (27)-(28)."""
+
+    compensator_drop: float  # delta p_c [Pa]
+    extend_coefficient: float  # Coeff. of eq. (24): p_B = coefficient x drop + tank while extending
+    retract_coefficient: float  # Coeff. of eq. (23): p_A = coefficient x drop + tank while retracting
+    regenerative_ratio: float  # K_vPA / K_vBP of eq. (27)
+
+
+@dataclass(frozen=True, slots=True)
+class IndependentMetering:
+    """Separate meter-in and meter-out edges, eqs. (34)-(35): a chosen back pressure in the off-side chamber."""
+
+    back_pressure: float  # [Pa], planning value (0 in the paper)
+    offside_pressure: float  # [Pa], held in the closed-loop simulation (1 MPa in the paper)
+
+
+Valve = MobileValve | IndependentMetering
+
+
+@dataclass(frozen=True, slots=True)
+class Pump:
+    """The pump and its two ways to be run. Efficiency is that of pump and drive together (eqs. 36, 43)."""
+
+    constant_pressure: float  # CP supply [Pa]
+    ls_margin: float  # delta p_LS [Pa]
+    max_pressure: float  # [Pa]
+    max_flow: float  # [m^3/s]
+    tank_pressure: float = 0.0  # [Pa]
+    efficiency: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Where one value of a machine file comes from."""
+
+    key: str  # dotted path in the file, e.g. cylinders.lift.bore
+    value: str  # as written
+    status: str  # printed | derived | assumed | identified
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """A crane. Sequences are in joint order: base (if slewing), lift, tilt, extension."""
+
+    name: str
+    description: str
+    geometry: Geometry
+    joints: tuple[Joint, ...]
+    cylinders: tuple[Cylinder, ...]
+    bodies: tuple[Body, ...]
+    payload_along: float  # where a payload hangs, on the outer link at zero extension [m]
+    payload_above: float  # [m]
+    valve: Valve
+    pump: Pump
+    driven_velocity: float  # epsilon of eq. (41): slower cylinders count as not driven [m/s]
+    coriolis: bool = False  # centrifugal and Coriolis forces in planning (omitted in both papers)
+    slewing_inertia: bool = False  # whether planning adds M11 q1'' to the base force (constant in the paper)
+    gravity: float = 9.81  # [m/s^2]
+    provenance: tuple[Provenance, ...] = field(default=(), repr=False)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Joint names in order."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def redundant(self) -> Cylinder:
+        """The cylinder whose motion is planned: the extension."""
+        return self.cylinders[-1]

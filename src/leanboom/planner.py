@@ -1,0 +1,378 @@
+"""The planner: from a task to the best judged feasible motion, by any method.
+
+Method `dp` runs the whole chain of the package: a coarse dynamic program over all feasible extensions, tubes
+around its motion on ever finer grids, then the polish with the switches fixed. Whatever step a candidate comes
+from, the judge measures it, and the best feasible one wins; the pseudo-inverse is always among the candidates, so
+the plan is never worse than what a crane does today.
+"""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from leanboom import dp, motion, stages
+from leanboom.errors import InfeasibleError, InputError, LeanboomError
+from leanboom.judge import Evaluation, evaluate, judged_cost
+from leanboom.motion import Motion
+from leanboom.objective import COSTS
+from leanboom.stages import Problem
+from leanboom.task import Lines, Spline, Task
+
+METHODS = {
+    "dp": "dynamic programming, refined in tubes and polished: the global optimum",
+    "polish": "nonlinear programming alone: the polish started from the pseudo-inverse",
+    "dp-paper": "Algorithm 1 of the 4-DOF paper to the letter",
+    "dp1": "one-state dynamic programming, velocity as control (3-DOF paper)",
+    "sns-joint": "joint-limited pseudo-inverse, least joint velocities",
+    "sns-actuator": "actuator-limited pseudo-inverse, least cylinder velocities",
+    "sns-actuator-weighted": "the same, cylinder velocities weighted by flow areas",
+}
+PUMPS = ("ls", "cp")
+POLISHED = ("ls", "cp")  # costs the polish knows
+
+# Tubes: nodes, and half widths relative to the coarse grid's spacing; halved each level.
+TUBE = (41, 33)
+TUBE_WIDTH, TUBE_SPREAD = 6.0, 6.0
+TUBE_LEVELS = 6
+REPEAT = 2e-3  # a tube is repeated at its width while the judged cost falls by more than this share
+SETTLED = 1e-4  # polishing ends when it gains less than this share
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """A planned task: the motion, what the judge says of it, and of the pseudo-inverse beside it."""
+
+    task: Task
+    pump: str
+    motion: Motion
+    evaluation: Evaluation
+    baseline: Evaluation | None  # sns-actuator from the same start
+    peak_memory_bytes: int
+
+    def __repr__(self) -> str:
+        return f"Plan({self.evaluation!r})"
+
+
+def plan(
+    task: Task,
+    pump: str = "ls",
+    *,
+    cost: str | None = None,
+    method: str = "dp",
+    grid: tuple[int, int] = (201, 101),
+    step: float = 0.05,
+    check: bool = True,
+) -> Motion:
+    """Plan a task and return its motion.
+
+    Args:
+        task: What to do; `task.start` says where the redundant cylinder starts.
+        pump: "ls" or "cp": whose energy counts.
+        cost: What to minimise, a name of `objective.COSTS`; by default the pump's energy.
+        method: A name of `METHODS`.
+        grid: Position and velocity nodes of the coarse grid.
+        step: Length of a stage [s].
+        check: Whether to raise where no feasible motion was found.
+
+    Returns:
+        The motion; its `status` says whether it keeps every limit.
+
+    Raises:
+        InputError: For arguments or tasks that cannot be used.
+        InfeasibleError: If `check` and no motion keeps every limit.
+    """
+    result = run(task, pump=pump, cost=cost, method=method, grid=grid, step=step, baseline=False)
+    if check and not result.evaluation.feasible:
+        raise InfeasibleError(result.evaluation.status)
+    return result.motion
+
+
+def run(
+    task: Task,
+    *,
+    pump: str = "ls",
+    cost: str | None = None,
+    method: str = "dp",
+    grid: tuple[int, int] = (201, 101),
+    step: float = 0.05,
+    baseline: bool = True,
+    progress: Progress | None = None,
+) -> Plan:
+    """Plan a task and judge the result, with progress; arguments as in `plan`.
+
+    Args:
+        task: What to do.
+        pump: "ls" or "cp".
+        cost: What to minimise; by default the pump's energy.
+        method: A name of `METHODS`.
+        grid: Position and velocity nodes of the coarse grid.
+        step: Length of a stage [s].
+        baseline: Whether to judge the actuator pseudo-inverse as well.
+        progress: Called with what happens and the share done.
+
+    Returns:
+        The plan, feasible or not.
+
+    Raises:
+        InputError: For arguments or tasks that cannot be used.
+        InfeasibleError: If the tool cannot follow the path, whatever the extension.
+    """
+    cost = pump if cost is None else cost
+    _check(task, pump, cost, method, grid, step)
+    tell = progress or (lambda text, share: None)
+    tell("loading kernels (compiled on the first run ever, which takes up to half a minute)", 0.0)
+    dp.prepare()
+    began = time.perf_counter()
+    solver = _Run(task, cost, grid, step, tell, began)
+    best = solver.by(method)
+    seconds = time.perf_counter() - began
+    status = best.status if best.feasible else solver.explain(best)
+    done = replace(best.motion, method=method, solve_s=seconds, log=tuple(solver.log), status=status)
+    best = replace(best, motion=done)
+    if not best.feasible:
+        best = replace(best, violations=(status, *best.violations[1:]))
+    other = solver.baseline(float(done.position[0])) if baseline else None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    tell("done", 1.0)
+    return Plan(task, pump, done, best, other, peak)
+
+
+def _check(task: Task, pump: str, cost: str, method: str, grid: tuple[int, int], step: float) -> None:
+    """Raise InputError for arguments that cannot be used, all problems at once."""
+    problems = []
+    if pump not in PUMPS:
+        problems.append(f"pump = {pump}; must be one of {', '.join(PUMPS)}")
+    if cost not in COSTS:
+        problems.append(f"cost = {cost}; must be one of {', '.join(COSTS)}")
+    if method not in METHODS:
+        problems.append(f"method = {method}; must be one of {', '.join(METHODS)}")
+    if min(grid) < 3:
+        problems.append(f"grid = {grid[0]}x{grid[1]}; needs at least 3 positions and 3 velocities")
+    if not 1e-3 <= step <= 1.0:
+        problems.append(f"step = {step:g} s; must be from 0.001 s to 1 s")
+    if problems:
+        raise InputError("; ".join(problems))
+    dp.check_memory(int(np.ceil(task.duration / step)), *grid)
+
+
+class _Run:
+    """One planning run: the problem, the log, and the best judged motion so far."""
+
+    def __init__(self, task: Task, cost: str, grid: tuple[int, int], step: float, tell: Progress, began: float):
+        self.task, self.cost, self.grid, self.step, self.tell = task, cost, grid, step, tell
+        self.log: list[str] = []
+        self.began = began
+        self.best: Evaluation | None = None
+        self.polisher = None
+
+    def by(self, method: str) -> Evaluation:
+        """The best judged motion of a method."""
+        if method == "dp":
+            return self.dynamic_program()
+        if method == "polish":
+            return self.polish_alone()
+        start = dp.start_position(stages.discretise(self.task, self.step), self.task.start)
+        if start is None:
+            raise InputError(f"start = best; method {method} needs smallest, middle or a length")
+        if method.startswith("sns-"):
+            from leanboom import pseudo_inverse
+
+            return evaluate(self.task, pseudo_inverse.resolve(self.task, start, method.removeprefix("sns-")))
+        if method == "dp1":
+            from leanboom import dp1
+
+            return evaluate(self.task, dp1.plan(self.task, self.cost, start))
+        from leanboom import dp_paper
+
+        tell = self.tell
+        return evaluate(
+            self.task, dp_paper.plan(self.task, self.cost, start, progress=lambda share: tell("Algorithm 1", share))
+        )
+
+    def dynamic_program(self) -> Evaluation:
+        """Design points 1 to 8: coarse sweep, tubes, polish, judge."""
+        self.tell("coarse dynamic program", 0.05)
+        problem = stages.discretise(self.task, self.step)
+        start = dp.start_position(problem, self.task.start)
+        coarse = dp.solve(problem, stages.full_grid(problem, *self.grid), self.cost)
+        free = start is None
+        start = dp.best_start(coarse) if start is None else start
+        self.judge(dp.rollout(coarse, start), f"coarse {coarse.grid.positions}x{coarse.grid.velocities}")
+        del coarse
+        low, high = stages.stroke_range(self.task)
+        width = TUBE_WIDTH * (high - low) / (self.grid[0] - 1)
+        spread = TUBE_SPREAD * 2.0 * problem.crane.machine.redundant.velocity_limit / (self.grid[1] - 1)
+        first = None if free else start
+        self.tubes(problem, first, width, spread, TUBE_LEVELS)
+        if self.cost in POLISHED and self.polish(problem, free):
+            # The polish moved on from where its seed's modes came from: look around it once more.
+            self.tubes(problem, first, width / 4.0, spread / 4.0, TUBE_LEVELS - 2)
+            self.polish(problem, free)
+        if not free:
+            self.fall_back(problem, start)
+        assert self.best is not None
+        return self.best
+
+    def tubes(self, problem: Problem, start: float | None, width: float, spread: float, levels: int) -> None:
+        """Solve again on tubes around the best motion, halved each level, while the judged cost falls."""
+        for level in range(levels):
+            self.tell(f"tube {level + 1} of {levels}", 0.4 + 0.3 * level / levels)
+            while True:
+                assert self.best is not None
+                before = judged_cost(self.best, self.cost)
+                seed = _on_stages(self.best.motion, problem)
+                tube = stages.tube_grid(problem, seed.position, seed.velocity, width, spread, *TUBE)
+                policy = dp.solve(problem, tube, self.cost)
+                first = dp.best_start(policy) if start is None else start
+                self.judge(dp.rollout(policy, first), f"tube of {width:.4f} m, {spread:.4f} m/s")
+                if judged_cost(self.best, self.cost) > before * (1.0 - REPEAT):
+                    break
+            width, spread = 0.5 * width, 0.5 * spread
+
+    def polish(self, problem: Problem, free: bool) -> bool:
+        """Fix the modes of the best motion, solve the smooth problem, read the modes off, repeat while it pays.
+
+        Returns:
+            Whether the judged cost fell.
+        """
+        from leanboom import polish
+
+        self.tell("polish", 0.75)
+        if self.polisher is None:
+            self.polisher = polish.build(problem, self.cost)
+        gained, done = False, None
+        for _ in range(4):
+            assert self.best is not None
+            before = judged_cost(self.best, self.cost)
+            seed = _on_stages(self.best.motion, problem)
+            switches = polish.modes(problem, seed.position, seed.velocity, seed.acceleration)
+            if done is not None and switches.same_as(done):
+                break
+            answer, text = polish.solve(self.polisher, seed, switches, free)
+            done = switches
+            if answer is None:
+                self.note(f"polish: {text}")
+                break
+            self.judge(answer, f"polish ({text})")
+            if judged_cost(self.best, self.cost) > before * (1.0 - SETTLED):
+                break
+            gained = True
+        return gained
+
+    def polish_alone(self) -> Evaluation:
+        """The polish from the pseudo-inverse: nonlinear programming without the dynamic program."""
+        from leanboom import pseudo_inverse
+
+        if self.cost not in POLISHED:
+            raise InputError(f"method polish minimises {' or '.join(POLISHED)}, not {self.cost}")
+        problem = stages.discretise(self.task, self.step)
+        start = dp.start_position(problem, self.task.start)
+        first = float(0.5 * (problem.lower[0] + problem.upper[0])) if start is None else start
+        self.judge(pseudo_inverse.resolve(self.task, first, "actuator"), "pseudo-inverse")
+        self.polish(problem, start is None)
+        assert self.best is not None
+        return self.best
+
+    def fall_back(self, problem: Problem, start: float) -> None:
+        """Never worse than the pseudo-inverse: refine from it where it beats the dynamic program."""
+        other = self.baseline(start)
+        assert self.best is not None
+        if other is None or not self.better(other):
+            return
+        self.best = other
+        self.note(f"the pseudo-inverse is better: {judged_cost(other, self.cost):.4g}; refining from it")
+        if self.cost in POLISHED:
+            self.polish(problem, False)
+
+    def baseline(self, start: float) -> Evaluation | None:
+        """The actuator pseudo-inverse from a start [m], judged; None where it cannot follow the path."""
+        from leanboom import pseudo_inverse
+
+        try:
+            return evaluate(self.task, pseudo_inverse.resolve(self.task, start, "actuator"))
+        except LeanboomError:
+            return None
+
+    def better(self, other: Evaluation) -> bool:
+        """Whether a judged motion beats the best so far: feasible first, then cheaper."""
+        if self.best is None or other.feasible != self.best.feasible:
+            return self.best is None or other.feasible
+        if not other.feasible:
+            return other.limit_use.worst < self.best.limit_use.worst
+        return judged_cost(other, self.cost) < judged_cost(self.best, self.cost)
+
+    def judge(self, candidate: Motion, name: str) -> None:
+        """Measure a candidate, note it, keep it if it is the best."""
+        judged = evaluate(self.task, candidate)
+        self.note(f"{name}: {judged_cost(judged, self.cost):.6g}, {judged.status}")
+        if self.better(judged):
+            self.best = judged
+
+    def note(self, text: str) -> None:
+        """Add a line to the log."""
+        self.log.append(f"{time.perf_counter() - self.began:6.2f} s  {text}")
+
+    def explain(self, best: Evaluation) -> str:
+        """Why there is no feasible motion, and the shortest duration that would have one."""
+        self.tell("looking for the shortest feasible duration", 0.9)
+        factor = shortest_duration(self.task, self.step)
+        if factor is None or factor <= 1.0:
+            return f"no feasible motion found: {best.status}"
+        return (
+            f"no feasible motion: {best.status}; the path needs at least about "
+            f"{factor * self.task.duration:.2f} s instead of {self.task.duration:.2f} s"
+        )
+
+
+def _on_stages(seed: Motion, problem: Problem) -> Motion:
+    """A motion on a problem's stages: itself, or its positions and velocities there, ending at rest."""
+    if seed.acceleration.size == problem.stages:
+        return seed
+    _, velocity, _ = seed.at(problem.time)
+    velocity = velocity.copy()
+    velocity[-1] = 0.0
+    return motion.from_velocities(problem.step, float(seed.position[0]), velocity, seed.method, seed.cost)
+
+
+def slower(task: Task, factor: float) -> Task:
+    """The same task taking `factor` times as long."""
+    path = task.path
+    if isinstance(path, Lines):
+        return replace(task, path=Lines(path.points, tuple(factor * d for d in path.durations)))
+    return replace(task, path=Spline(path.points, tuple(factor * t for t in path.times)))
+
+
+def shortest_duration(task: Task, step: float, accuracy: float = 0.01, most: float = 16.0) -> float | None:
+    """Smallest factor on a task's duration at which a coarse plan keeps every limit; None up to `most`.
+
+    Args:
+        task: The task.
+        step: Length of a stage of the original task [s]; stretched with it.
+        accuracy: Relative accuracy of the factor.
+        most: Largest factor tried.
+    """
+
+    def feasible(factor: float) -> bool:
+        slow = slower(task, factor)
+        problem = stages.discretise(slow, step * factor)
+        start = dp.start_position(problem, task.start)
+        policy = dp.solve(problem, stages.full_grid(problem, 101, 51), "cp")
+        return evaluate(slow, dp.rollout(policy, dp.best_start(policy) if start is None else start)).feasible
+
+    good = 1.0
+    while not feasible(good):
+        good *= 2.0
+        if good > most:
+            return None
+    bad = 0.5 * good
+    while good - bad > accuracy * good:
+        middle = 0.5 * (good + bad)
+        good, bad = (middle, bad) if feasible(middle) else (good, middle)
+    return good

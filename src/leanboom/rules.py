@@ -1,0 +1,250 @@
+"""What one value of a file may be: rules that pydantic applies, and that say in words what they allow.
+
+A rule stands in a type, `Annotated[float, Quantity("length", above=0)]`. Values arrive as text and leave as SI floats.
+"""
+
+from __future__ import annotations
+
+import re
+from difflib import get_close_matches
+from typing import Any, LiteralString, get_args
+
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from leanboom.units import KINDS, Kind, parse, write
+
+STARTS = ("smallest", "middle", "best")
+
+
+def refusal(allowed: str, key: str = "", kind: LiteralString = "refused") -> PydanticCustomError:
+    """The error for a value that is not what is allowed; `key` if it stands one level deeper."""
+    return PydanticCustomError(kind, "{allowed}", {"allowed": allowed, "key": key})
+
+
+def suggestion(name: str, valid: tuple[str, ...]) -> str:
+    """The valid names, and which of them was probably meant."""
+    close = get_close_matches(name, valid, n=1)
+    return f"{', '.join(valid)}{f'; did you mean {close[0]}?' if close else ''}"
+
+
+class Rule:
+    """What a value must be, in words; how it is read; and for quantities of what kind, to write them again."""
+
+    allowed: str = "must be given"
+    kind: Kind | None = None
+    bare: bool = False  # written without its unit
+
+    def check(self, value: Any) -> Any:
+        """The value, ready for its type.
+
+        Raises:
+            PydanticCustomError: It is not allowed; made by `refusal`.
+        """
+        return value
+
+    def described(self, schema: dict[str, Any]) -> dict[str, Any]:
+        """The JSON schema of the value as written, from that of its type."""
+        return schema
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Check before the type is."""
+        return core_schema.no_info_before_validator_function(self.check, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Describe the value as written."""
+        return self.described(handler(schema))
+
+
+class Quantity(Rule):
+    """A quantity within bounds in SI units."""
+
+    def __init__(self, kind: str, *, above: float | None = None, least: float | None = None, most: float | None = None):
+        self.kind = what = KINDS[kind]
+        self.above, self.least, self.most = above, least, most
+        if least is not None and most is not None:
+            bounds = f"from {write(least, what) if least else 0} to {write(most, what)}"
+        else:
+            given = (("above", above), ("at least", least), ("at most", most))
+            texts = [f"{name} {write(bound, what) if bound else 0}" for name, bound in given if bound is not None]
+            bounds = " and ".join(texts)
+        self.outside = f"must be {bounds}"
+        self.finite = f"must be a finite {what.name}, such as {what.example}"
+        article = "an" if what.name[0] in "aeiou" else "a"
+        self.allowed = f"must be {article} {what.name}{' ' if bounds else ''}{bounds}, such as {what.example}"
+
+    def check(self, value: Any) -> float:
+        """The quantity in SI units."""
+        assert self.kind is not None
+        text = repr(value) if isinstance(value, float | int) and not isinstance(value, bool) else value
+        number = parse(text, self.kind) if isinstance(text, str) else None
+        if number is None:
+            raise refusal(self.finite)
+        low = (self.above is not None and number <= self.above) or (self.least is not None and number < self.least)
+        if low or (self.most is not None and number > self.most):
+            raise refusal(self.outside)
+        return number
+
+    def described(self, schema: dict[str, Any]) -> dict[str, Any]:
+        """Text with a unit, or a bare number."""
+        assert self.kind is not None
+        bare = f"a bare number is in {self.kind.unit}" if self.kind.unit else "without a unit"
+        return {"type": ["string", "number"], "description": f"{self.allowed.removeprefix('must be ')}; {bare}"}
+
+
+class Listing(Rule):
+    """A list of quantities or of lists, so many as `size` says."""
+
+    def __init__(self, size: str, kind: str, least: int, most: int | None = None, *, bare: bool = False):
+        self.allowed = f"must be a list of {size}"
+        self.kind, self.bare = KINDS[kind], bare
+        self.least, self.most = least, most
+
+    def check(self, value: Any) -> tuple[Any, ...]:
+        """The list as a tuple."""
+        most = len(value) if self.most is None and isinstance(value, list | tuple) else self.most
+        if not isinstance(value, list | tuple) or not self.least <= len(value) <= (most or 0):
+            raise refusal(self.allowed)
+        return tuple(value)
+
+    def described(self, schema: dict[str, Any]) -> dict[str, Any]:
+        """As many items as allowed."""
+        return {**schema, "minItems": self.least} | ({"maxItems": self.most} if self.most else {})
+
+
+class Word(Rule):
+    """A text out of a few."""
+
+    def __init__(self, *choices: str):
+        self.choices = choices
+        self.allowed = f"must be {', '.join(choices)}"
+
+    def check(self, value: Any) -> str:
+        """The word."""
+        if value not in self.choices:
+            raise refusal(f"must be {suggestion(str(value), self.choices)}")
+        return value
+
+    def described(self, schema: dict[str, Any]) -> dict[str, Any]:
+        """One of the words."""
+        return {"enum": list(self.choices)}
+
+
+class Variant(Rule):
+    """A section that is one of several, told apart by its key `type`."""
+
+    def __init__(self, *choices: str):
+        self.choices = choices
+        self.allowed = f"must be a mapping with the key type: {', '.join(choices)}"
+
+    def check(self, value: Any) -> Any:
+        """The section, of a known type."""
+        if not isinstance(value, dict):
+            raise refusal(self.allowed)
+        if "type" not in value:
+            raise refusal(f"must be {', '.join(self.choices)}", "type", "missing")
+        if value["type"] not in self.choices:
+            raise refusal(f"must be {suggestion(str(value['type']), self.choices)}", "type")
+        return value
+
+
+class Switch(Rule):
+    """True or false."""
+
+    allowed = "must be true or false"
+
+    def check(self, value: Any) -> bool:
+        """The truth value."""
+        if not isinstance(value, bool):
+            raise refusal(self.allowed)
+        return value
+
+
+class OneOrTwo(Rule):
+    """One or two."""
+
+    allowed = "must be 1 or 2"
+
+    def check(self, value: Any) -> int:
+        """The number."""
+        if isinstance(value, bool) or value not in (1, 2, "1", "2"):
+            raise refusal(self.allowed)
+        return int(value)
+
+    def described(self, schema: dict[str, Any]) -> dict[str, Any]:
+        """One of the two."""
+        return {"enum": [1, 2]}
+
+
+class Text(Rule):
+    """A text of any length, in one line."""
+
+    allowed = "must be a text"
+
+    def check(self, value: Any) -> str:
+        """The text, its white space reduced."""
+        if not isinstance(value, str):
+            raise refusal(self.allowed)
+        return " ".join(value.split())
+
+
+class Name(Rule):
+    """A name that is safe in a file's name."""
+
+    pattern = "[A-Za-z0-9][A-Za-z0-9_-]{0,63}"
+    allowed = "must be up to 64 letters, digits, '-' and '_', the first a letter or digit"
+
+    def check(self, value: Any) -> str:
+        """The name."""
+        if not isinstance(value, str) or not re.fullmatch(self.pattern, value):
+            raise refusal(self.allowed)
+        return value
+
+    def described(self, schema: dict[str, Any]) -> dict[str, Any]:
+        """The same as a pattern."""
+        return {"type": "string", "pattern": f"^{self.pattern}$"}
+
+
+class Start(Rule):
+    """Where the redundant cylinder starts."""
+
+    allowed = f"must be {', '.join(STARTS)}, or a length of the redundant cylinder such as 0.3 m"
+    kind = KINDS["length"]
+
+    def check(self, value: Any) -> str | float:
+        """One of the words, or a length [m]."""
+        if value in STARTS:
+            return value
+        text = value if isinstance(value, str) else repr(value)
+        number = parse(text, KINDS["length"])
+        if number is None or number < 0.0:
+            raise refusal(self.allowed)
+        return number
+
+
+def rule_of(metadata: list[Any], annotation: Any) -> Rule | None:
+    """The rule of a field, also of an optional one; None if it has none."""
+    inner = get_args(annotation)
+    found = [*metadata, *(getattr(inner[0], "__metadata__", ()) if inner else ())]
+    return next((part for part in found if isinstance(part, Rule)), None)
+
+
+def rising(values: tuple[float, ...]) -> tuple[float, ...]:
+    """The values, if every one is above the one before it."""
+    if any(b <= a for a, b in zip(values, values[1:], strict=False)):
+        raise refusal("every value must be above the one before it")
+    return values
+
+
+def rising_from_zero(values: tuple[float, ...]) -> tuple[float, ...]:
+    """The times, if they begin with 0 and rise."""
+    if values[0] != 0.0 or any(b <= a for a, b in zip(values, values[1:], strict=False)):
+        raise refusal("times must begin with 0 and every one be above the one before it")
+    return values
+
+
+def ordered(ends: tuple[float, float]) -> tuple[float, float]:
+    """The ends of a range, if in order."""
+    if ends[0] >= ends[1]:
+        raise refusal("the lower end must be below the upper end")
+    return ends

@@ -1,0 +1,236 @@
+"""The run folder of a plan: everything about one run in files that open without leanboom.
+
+It appears as a whole or not at all: written beside its place under another name, then renamed. An earlier run folder
+gives way to a new one; a folder that holds anything else is never touched.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from leanboom.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from leanboom.evaluate import Evaluation
+    from leanboom.planner import Plan
+
+SUMMARY, TASK, MACHINE, TRAJECTORY, REPORT = FILES = (
+    "summary.json",
+    "task.yaml",
+    "machine.yaml",
+    "trajectory.csv",
+    "report.html",
+)
+KEYS = (
+    "task",
+    "machine",
+    "pump",
+    "cost",
+    "method",
+    "start_m",
+    "status",
+    "duration_s",
+    "energy_j",
+    "energy_ls_j",
+    "energy_cp_j",
+    "limit_use",
+    "path_error_m",
+    "solve_s",
+    "peak_memory_bytes",
+    "out",
+)
+
+
+def summary(plan: Plan, out: Path | None = None) -> dict[str, Any]:
+    """A plan's numbers in SI units, as `summary.json` and `--json` have them; a number that is not finite is None.
+
+    Args:
+        plan: The plan.
+        out: Its run folder, if it has one.
+    """
+    judged = plan.evaluation
+    use = judged.limit_use
+    values = {
+        "task": plan.task.name,
+        "machine": plan.task.machine.name,
+        "pump": plan.pump,
+        "cost": plan.motion.cost,
+        "method": plan.motion.method,
+        "start_m": _finite(plan.motion.position[0]),
+        "status": judged.status,
+        "duration_s": _finite(plan.task.duration),
+        "energy_j": _finite(judged.energy(plan.pump)),
+        "energy_ls_j": _finite(judged.energy_ls),
+        "energy_cp_j": _finite(judged.energy_cp),
+        "limit_use": {
+            "position": _finite(use.position),
+            "velocity": _finite(use.velocity),
+            "acceleration": _finite(use.acceleration),
+        },
+        "path_error_m": _finite(judged.path_error),
+        "solve_s": _finite(plan.motion.solve_s),
+        "peak_memory_bytes": int(plan.peak_memory_bytes),
+        "out": None if out is None else str(out),
+    }
+    return {key: values[key] for key in KEYS}
+
+
+def _finite(value: Any) -> float | None:
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
+def columns(evaluation: Evaluation) -> dict[str, np.ndarray]:
+    """The columns of `trajectory.csv` by name, in their order, (samples,) each.
+
+    Args:
+        evaluation: The judged motion.
+    """
+    e = evaluation
+    table = {"time_s": e.time, "x_m": e.tool[:, 0], "y_m": e.tool[:, 1], "z_m": e.tool[:, 2]}
+    names = e.task.machine.names
+    for j, name in enumerate(names):
+        unit = "m" if name == "extension" else "rad"
+        table[f"{name}_{unit}"] = e.joint_position[:, j]
+        table[f"{name}_{unit}_s"] = e.joint_velocity[:, j]
+        table[f"{name}_{unit}_s2"] = e.joint_acceleration[:, j]
+    for j, name in enumerate(names):
+        table[f"{name}_cylinder_m"] = e.length[:, j]
+        table[f"{name}_cylinder_m_s"] = e.velocity[:, j]
+        table[f"{name}_cylinder_m_s2"] = e.acceleration[:, j]
+        table[f"{name}_force_n"] = e.force[:, j]
+        table[f"{name}_pressure_pa"] = e.pressure[:, j]
+        table[f"{name}_flow_m3_s"] = e.flow[:, j]
+    table["pump_flow_m3_s"] = e.pump_flow
+    table["supply_ls_pa"] = e.supply_ls
+    table["supply_cp_pa"] = e.supply_cp
+    table["power_ls_w"] = e.power_ls
+    table["power_cp_w"] = e.power_cp
+    table["energy_ls_j"] = e.cumulative_ls
+    table["energy_cp_j"] = e.cumulative_cp
+    return table
+
+
+def check(out: Path) -> None:
+    """Raise InputError if a run folder must not be written at a place, so that nobody waits for nothing.
+
+    Args:
+        out: Where the run folder is wanted.
+    """
+    with _explained(out):
+        if out.is_symlink():
+            raise InputError(f"out = {out}; is a symbolic link: give the folder itself")
+        if out.exists() and not out.is_dir():
+            raise InputError(f"out = {out}; is a file: give a new or empty folder, or an earlier run folder")
+        if Path.cwd().is_relative_to(out.resolve()):
+            raise InputError(f"out = {out}; is or holds the current folder: give one below or beside it")
+        if out.is_dir() and any(out.iterdir()) and not _is_run_folder(out):
+            strange = sorted(path.name for path in out.iterdir() if path.name not in FILES)
+            holds = f"holds {strange[0]}" if strange else "was not written by leanboom"
+            raise InputError(f"out = {out}; {holds}: give a new or empty folder, or an earlier run folder")
+
+
+def _is_run_folder(folder: Path) -> bool:
+    """Whether a folder holds what `write` writes and nothing else."""
+    entries = list(folder.iterdir())
+    if any(path.name not in FILES or path.is_symlink() or not path.is_file() for path in entries):
+        return False
+    try:
+        found = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(found, dict) and tuple(found) == KEYS
+
+
+def write(plan: Plan, out: Path, grid: tuple[int, int] | None = None) -> Path:
+    """Write the run folder of a plan.
+
+    Args:
+        plan: The plan.
+        out: The folder; new, empty, or an earlier run folder, which is replaced.
+        grid: Position and velocity nodes the plan was made with, for the report.
+
+    Returns:
+        The folder.
+
+    Raises:
+        InputError: The folder holds something else, or cannot be written.
+    """
+    from leanboom import files, report
+
+    check(out)
+    # Resolved once: renaming "." or "a/.." would not do what it says.
+    place = out.resolve()
+    texts = {
+        SUMMARY: json.dumps(summary(plan, out), indent=2, ensure_ascii=False, allow_nan=False) + "\n",
+        TASK: files.dump_task(plan.task, MACHINE),
+        MACHINE: files.dump_machine(plan.task.machine),
+        TRAJECTORY: trajectory(plan.evaluation),
+        REPORT: report.page(plan, grid),
+    }
+    with _explained(out):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        new = _beside(place, "new")
+        new.mkdir()
+        try:
+            for name, text in texts.items():
+                (new / name).write_text(text, encoding="utf-8", newline="\n")
+            _replace(place, new)
+        except BaseException:
+            shutil.rmtree(new, ignore_errors=True)
+            raise
+    return out
+
+
+def trajectory(evaluation: Evaluation) -> str:
+    """The text of `trajectory.csv`: ten significant digits, one row a sample of 2 ms.
+
+    Args:
+        evaluation: The judged motion.
+    """
+    import numpy as np
+
+    table = columns(evaluation)
+    row = ",".join(["%.10g"] * len(table))
+    values = np.stack(list(table.values()), axis=1) + 0.0  # no minus zeros
+    return "\n".join([",".join(table), *(row % tuple(sample) for sample in values.tolist())]) + "\n"
+
+
+def _replace(place: Path, new: Path) -> None:
+    """Put a new folder in its place; what was there returns if that fails."""
+    if not place.exists():
+        new.rename(place)
+        return
+    old = _beside(place, "old")
+    place.rename(old)
+    try:
+        new.rename(place)
+    except BaseException:
+        with suppress(OSError):
+            old.rename(place)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _beside(place: Path, what: str) -> Path:
+    return place.with_name(f".{place.name[:80]}.{what}-{secrets.token_hex(4)}")
+
+
+@contextmanager
+def _explained(out: Path) -> Iterator[None]:
+    """What the system refuses, said as a problem of the folder's name."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"out = {out}; cannot be written: {error.strerror or error}") from None
+    except ValueError as error:  # a name or text no file can have
+        raise InputError(f"out = {str(out)!r}; cannot be written: {error}") from None

@@ -1,0 +1,274 @@
+"""Stage tables: all physics of a task on (stage, position) nodes, and the grids that fit each stage.
+
+The kernels see a crane only through these tables. At a node, velocities, accelerations and forces of every
+cylinder are exact polynomials of the redundant cylinder's motion (v affine in w; a and f quadratic in w and
+affine in u), so four evaluations of `crane.move` at a pose give all coefficients. Cylinders that the path
+alone prescribes (the base) are reduced to one flow and one pressure a stage.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leanboom import crane as cranes
+from leanboom import hydraulics, kernels, kinematics
+from leanboom.errors import InfeasibleError
+from leanboom.objective import COSTS
+from leanboom.task import Task, sample
+
+SAMPLES = 257  # extensions looked at when searching the feasible ones
+HELD = 0.99  # planned motions hold a cylinder within this share of the velocity that counts as driven
+PROMISE = 1e-9  # [m], accuracy of the ends of the feasible extensions
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """A task discretised in time: the crane, its reference at the stages, its feasible extensions."""
+
+    task: Task
+    crane: cranes.Crane
+    step: float  # Ts [s]
+    time: np.ndarray  # [s], (stages + 1,)
+    plane: cranes.Plane  # reference at the stages
+    lower: np.ndarray  # smallest feasible stroke of the redundant cylinder [m], (stages + 1,)
+    upper: np.ndarray  # largest [m], (stages + 1,)
+    intervals: tuple[np.ndarray, ...]  # feasible strokes of each stage [m], (intervals, 2) each
+
+    @property
+    def stages(self) -> int:
+        """Number of stages."""
+        return self.time.size - 1
+
+    @property
+    def moving(self) -> slice:
+        """The cylinders whose motion depends on the redundancy: all but a base."""
+        return slice(1, None) if self.crane.machine.geometry.slewing else slice(0, None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tables:
+    """What the kernels need, see `kernels` for the columns."""
+
+    coefficients: np.ndarray  # (stages + 1, positions, moving, kernels.COEFFICIENTS)
+    outside: np.ndarray  # [m], (stages + 1, positions)
+    stage: np.ndarray  # (stages + 1, kernels.STAGE_COLUMNS)
+    cylinder: np.ndarray  # (moving, kernels.CYLINDER_COLUMNS)
+    velocities: int
+
+
+def stroke_range(task: Task) -> tuple[float, float]:
+    """Smallest and largest stroke of the redundant cylinder [m], from its joint's range."""
+    joint = task.machine.joints[-1]
+    ratio = task.machine.redundant.linkage.ratio
+    return joint.lower * ratio, joint.upper * ratio
+
+
+def discretise(task: Task, step: float) -> Problem:
+    """Cut a task into equal stages of about `step` [s] and find the feasible extensions of each.
+
+    Raises:
+        InfeasibleError: If the tool cannot be at its point at some stage, whatever the extension.
+    """
+    count = max(2, int(np.ceil(task.duration / step - 1e-9)))
+    time = np.linspace(0.0, task.duration, count + 1)
+    crane = cranes.build(task)
+    plane = cranes.plane(task.machine, sample(task, time))
+    intervals = _feasible_strokes(task, crane, plane, time)
+    lower = np.array([stage[0, 0] for stage in intervals])
+    upper = np.array([stage[-1, 1] for stage in intervals])
+    return Problem(task, crane, task.duration / count, time, plane, lower, upper, intervals)
+
+
+def position_margin(task: Task, crane: cranes.Crane, plane: cranes.Plane, stroke: np.ndarray) -> np.ndarray:
+    """How far a pose is inside the reach and the joint ranges: >= 0 exactly where all are kept."""
+    g = task.machine.geometry
+    q4 = stroke / crane.ratio
+    reach = 1.0 - np.abs(
+        kinematics.elbow_cosine(plane.r, plane.z, q4, g.base_x, g.base_z, g.boom, g.offset, g.outer)
+    )
+    q2, q3 = kinematics.lift_and_tilt(plane.r, plane.z, q4, g.base_x, g.base_z, g.boom, g.offset, g.outer)
+    margin = reach
+    for q, joint in zip((q2, q3, q4), task.machine.joints[-3:], strict=True):
+        margin = np.minimum(margin, np.minimum(q - joint.lower, joint.upper - q) / (joint.upper - joint.lower))
+    return margin
+
+
+def _feasible_strokes(task, crane, plane, time) -> tuple[np.ndarray, ...]:
+    low, high = stroke_range(task)
+    for samples in (SAMPLES, 16 * SAMPLES):
+        grid = np.linspace(low, high, samples)
+        inside = position_margin(task, crane, plane[:, None], grid[None, :]) >= -1e-12
+        if inside.any(axis=1).all():
+            break
+    else:
+        k = int(np.argmin(inside.any(axis=1)))
+        raise InfeasibleError(_why_unreachable(task, crane, plane, k, time[k], grid))
+    # Ends between a feasible and an infeasible sample are bisected, all at once.
+    edges = inside[:, 1:] != inside[:, :-1]
+    stage, index = np.nonzero(edges)
+    good = np.where(inside[stage, index], grid[index], grid[index + 1])
+    bad = np.where(inside[stage, index], grid[index + 1], grid[index])
+    here = plane[stage]
+    while np.max(np.abs(good - bad), initial=0.0) > PROMISE:
+        middle = 0.5 * (good + bad)
+        keeps = position_margin(task, crane, here, middle) >= 0.0
+        good, bad = np.where(keeps, middle, good), np.where(keeps, bad, middle)
+    found = []
+    for k in range(time.size):
+        mine = stage == k
+        ends = list(good[mine])
+        if inside[k, 0]:
+            ends.insert(0, low)
+        if inside[k, -1]:
+            ends.append(high)
+        found.append(np.array(ends).reshape(-1, 2))
+    return tuple(found)
+
+
+def _why_unreachable(task, crane, plane, k, time, grid) -> str:
+    g = task.machine.geometry
+    here = plane[k]
+    where = f"at {time:.3f} s (stage {k}), tool radius {here.r:.3f} m, height {here.z:.3f} m"
+    cosine = kinematics.elbow_cosine(
+        here.r, here.z, grid / crane.ratio, g.base_x, g.base_z, g.boom, g.offset, g.outer
+    )
+    if np.all(cosine < -1.0):
+        return f"the path leaves the crane's reach {where}: too far by {_reach_gap(task, here):.3f} m"
+    if np.all(np.abs(cosine) > 1.0):
+        return f"the path comes too close to the lift joint {where}"
+    margin = position_margin(task, crane, here, grid)
+    best = grid[int(margin.argmax())]
+    pose = cranes.pose(crane, here, best)
+    worst, message = 0.0, "the joint ranges exclude each other"
+    for q, joint in zip(pose.q, task.machine.joints[-3:], strict=True):
+        for bound, amount in ((joint.lower, joint.lower - q), (joint.upper, q - joint.upper)):
+            if amount / (joint.upper - joint.lower) > worst:
+                worst = amount / (joint.upper - joint.lower)
+                unit = "m" if joint.name == "extension" else "rad"
+                message = f"joint {joint.name} would be {amount:.4f} {unit} beyond its limit {bound:.4f} {unit}"
+    return f"no extension reaches the path {where}: even at {best:.3f} m, {message}"
+
+
+def _reach_gap(task: Task, here: cranes.Plane) -> float:
+    g = task.machine.geometry
+    reach = g.boom + np.hypot(g.outer + task.machine.joints[-1].upper, g.offset)
+    return float(np.hypot(here.r - g.base_x, here.z - g.base_z) - reach)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grid:
+    """Position and velocity nodes of every stage."""
+
+    c_lo: np.ndarray  # [m], (stages + 1,)
+    c_hi: np.ndarray
+    w_lo: np.ndarray  # [m/s], (stages + 1,)
+    w_hi: np.ndarray
+    positions: int
+    velocities: int
+
+
+def full_grid(problem: Problem, positions: int, velocities: int) -> Grid:
+    """Nodes over all feasible extensions of each stage and all velocities; zero velocity is a node."""
+    limit = problem.crane.machine.redundant.velocity_limit
+    ones = np.ones(problem.stages + 1)
+    return Grid(problem.lower, problem.upper, -limit * ones, limit * ones, positions, velocities | 1)
+
+
+def tube_grid(problem: Problem, position, velocity, width: float, spread: float, positions: int, velocities: int) -> Grid:
+    """Nodes within `width` [m] and `spread` [m/s] of a motion, (stages + 1,), inside the feasible extensions.
+
+    The motion's own velocity is a node at every stage.
+    """
+    limit = problem.crane.machine.redundant.velocity_limit
+    c_lo = np.clip(position - width, problem.lower, problem.upper)
+    c_hi = np.clip(position + width, problem.lower, problem.upper)
+    centre = np.clip(velocity, -limit, limit)
+    return Grid(c_lo, c_hi, centre - spread, centre + spread, positions, velocities | 1)
+
+
+def tables(problem: Problem, grid: Grid, cost: str) -> Tables:
+    """All physics of a problem on the nodes of a grid."""
+    crane, machine = problem.crane, problem.crane.machine
+    c_hi = np.maximum(grid.c_hi, grid.c_lo + 1e-9)
+    share = np.linspace(0.0, 1.0, grid.positions)
+    nodes = grid.c_lo[:, None] + (c_hi - grid.c_lo)[:, None] * share
+    pose = cranes.pose(crane, problem.plane[:, None], nodes)
+    still, forth, back, push = (cranes.move(pose, w, u) for w, u in ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0)))
+    cylinders = machine.cylinders[problem.moving]
+    coefficients = np.empty((*nodes.shape, len(cylinders), kernels.COEFFICIENTS))
+    for m, i in enumerate(range(len(machine.cylinders))[problem.moving]):
+        out = coefficients[:, :, m]
+        out[..., kernels.A0] = still.velocity[i]
+        out[..., kernels.A1] = forth.velocity[i] - still.velocity[i]
+        for column, name in ((kernels.B0, "acceleration"), (kernels.F0, "load")):
+            c0, c1, c2, c3 = (getattr(motion, name)[i] for motion in (still, forth, back, push))
+            out[..., column] = c0
+            out[..., column + 1] = 0.5 * (c1 - c2)
+            out[..., column + 2] = 0.5 * (c1 + c2) - c0
+            out[..., column + 3] = c3 - c0
+        out[..., kernels.COULOMB] = pose.coulomb[i]
+    stage = np.empty((problem.stages + 1, kernels.STAGE_COLUMNS))
+    stage[:, kernels.C_LO] = grid.c_lo
+    stage[:, kernels.DC] = (c_hi - grid.c_lo) / (grid.positions - 1)
+    stage[:, kernels.W_LO] = grid.w_lo
+    stage[:, kernels.DW] = (grid.w_hi - grid.w_lo) / (grid.velocities - 1)
+    prescribe(problem, stage, cost)
+    return Tables(coefficients, _distance_outside(problem, nodes), stage, cylinder_table(problem), grid.velocities)
+
+
+def prescribe(problem: Problem, stage: np.ndarray, cost: str) -> None:
+    """Flow, pressure and cost of the cylinders that the path alone moves."""
+    stage[:, kernels.FIXED_FLOW] = stage[:, kernels.FIXED_PRESSURE] = stage[:, kernels.FIXED_COST] = 0.0
+    crane = problem.crane
+    if not crane.machine.geometry.slewing:
+        return
+    pose = cranes.pose(crane, problem.plane, 0.5 * (problem.lower + problem.upper))
+    moving = cranes.move(pose, 0.0, 0.0)
+    v, force, d = moving.velocity[0], cranes.forces(pose, moving)[0], crane.drives[0]
+    cylinder = crane.machine.cylinders[0]
+    if cost == "recuperation":
+        flow = hydraulics.recuperating_flow(v, cylinder.piston_area, cylinder.rod_side_area)
+    else:
+        flow = hydraulics.cylinder_flow(v, d.area_out, d.area_in)
+    stage[:, kernels.FIXED_FLOW] = flow
+    stage[:, kernels.FIXED_PRESSURE] = hydraulics.counted_pressure(
+        v, force, crane.machine.driven_velocity, d.gain_out, d.back_out, d.gain_in, d.back_in
+    )
+    if cost == "actuator":
+        stage[:, kernels.FIXED_COST] = hydraulics.positive_work(v, force)
+    elif cost == "velocity":
+        stage[:, kernels.FIXED_COST] = v * v
+
+
+def cylinder_table(problem: Problem) -> np.ndarray:
+    """The moving cylinders' constants, (moving, kernels.CYLINDER_COLUMNS)."""
+    crane = problem.crane
+    rows = []
+    for cylinder, d, k in zip(crane.machine.cylinders, crane.drives, cranes.sharpness(crane), strict=True):
+        rows.append(
+            [d.area_out, d.area_in, d.gain_out, d.back_out, d.gain_in, d.back_in, k, cylinder.friction.viscous,
+             cylinder.velocity_limit, cylinder.acceleration_limit, cylinder.piston_area, cylinder.rod_side_area]
+        )  # fmt: skip
+    return np.array(rows)[problem.moving]
+
+
+def setting(problem: Problem, cost: str, slopes: tuple[float, float, float, float]) -> np.ndarray:
+    """The kernels' scalars; slopes are the penalties per violated m, m/s (state), m/s and m/s^2 (cylinders)."""
+    machine = problem.crane.machine
+    pump = machine.pump
+    return np.array(
+        [problem.step, COSTS[cost], HELD * machine.driven_velocity, pump.constant_pressure, pump.ls_margin, pump.efficiency,
+         *slopes]
+    )  # fmt: skip
+
+
+def _distance_outside(problem: Problem, nodes: np.ndarray) -> np.ndarray:
+    """Distance of each node from the feasible extensions of its stage [m]."""
+    outside = np.zeros_like(nodes)
+    for k, intervals in enumerate(problem.intervals):
+        if len(intervals) > 1:
+            gaps = np.maximum(intervals[:, :1] - nodes[k], nodes[k] - intervals[:, 1:])
+            outside[k] = np.maximum(0.0, gaps.min(axis=0))
+    return outside
