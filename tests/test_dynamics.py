@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
 from leanboom import crane as cranes
 from leanboom import dynamics, kinematics
 from leanboom.files import load_machine, load_task
 from leanboom.machine import Body
-from scipy.integrate import solve_ivp
 
 NAMES = ("forwarder", "loader")
 SHARE = st.floats(0.0, 1.0)
@@ -79,7 +80,9 @@ class Pinocchio:
         for body in crane.bodies:
             centre = np.array([body.along, 0.0, body.above])
             joint = ids[body.extension_share or body.carrier]
-            self.model.appendBodyToJoint(joint, pin.Inertia(body.mass, centre, inertia_matrix(body)), pin.SE3.Identity())
+            self.model.appendBodyToJoint(
+                joint, pin.Inertia(body.mass, centre, inertia_matrix(body)), pin.SE3.Identity()
+            )
         self.data = self.model.createData()
 
     def mass(self, q):

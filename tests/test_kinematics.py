@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from leanboom import kinematics
 from leanboom.files import load_machine
 
@@ -49,7 +50,12 @@ def test_tool_point_is_the_dh_product_of_the_4dof_paper(q1, shares):
     machine = MACHINES["forwarder"]
     q2, q3, q4 = pose(machine, shares)
     # Table 2, as printed.
-    table = [(-0.208, pi / 2, 1.605, q1), (3.504, 0, 0, q2), (0.376, pi / 2, 0, q3 + pi / 2), (0, -pi / 2, 2.13 + q4, 0)]
+    table = [
+        (-0.208, pi / 2, 1.605, q1),
+        (3.504, 0, 0, q2),
+        (0.376, pi / 2, 0, q3 + pi / 2),
+        (0, -pi / 2, 2.13 + q4, 0),
+    ]
     x, y, z = np.linalg.multi_dot([transformation(*row) for row in table])[:3, 3]
     radius, height = kinematics.tool_point(q2, q3, q4, *plane(machine.geometry))
     assert [radius * cos(q1), radius * sin(q1), height] == pytest.approx([x, y, z], abs=1e-13)
@@ -114,7 +120,9 @@ def test_forward_kinematics_returns_every_reachable_point(name, elbow, angle, sh
     assert np.sin(q3 + np.arctan2(g.offset, g.outer + q4)) <= 0.0  # elbow up: outer boom folded down
 
 
-@pytest.mark.parametrize(("distance", "length"), [(9.9, 3.504 + np.hypot(4.13, 0.376)), (0.3, np.hypot(4.13, 0.376) - 3.504)])
+@pytest.mark.parametrize(
+    ("distance", "length"), [(9.9, 3.504 + np.hypot(4.13, 0.376)), (0.3, np.hypot(4.13, 0.376) - 3.504)]
+)
 def test_unreachable_points_give_the_nearest_pose(distance, length):
     """Straight when the tool is too far, folded when it is too close, pointing at the tool."""
     g = MACHINES["forwarder"].geometry

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from leanboom.files import load_machine
 from leanboom.linkages import cylinder
 from leanboom.machine import Polynomial, RackAndPinion, Telescope

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+
 from leanboom.motion import from_positions, from_velocities, make
 
 STEP = 0.05

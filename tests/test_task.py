@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import quad
+
 from leanboom.files import bundled_tasks, load_task
 from leanboom.task import Lines, Spline, Task, sample
-from scipy.integrate import quad
 
 TASKS = {name: load_task(name) for name in bundled_tasks()}
 SHARE = st.floats(0.0, 1.0)

@@ -58,9 +58,9 @@ def main() -> NoReturn:
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
+        from leanboom import __version__
 
-        typer.echo(f"leanboom {version('leanboom')}")
+        typer.echo(f"leanboom {__version__}")
         raise typer.Exit
 
 
@@ -164,7 +164,9 @@ def check(
 
 @app.command()
 def machines(
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="A bundled machine or a machine file to show in detail.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="A bundled machine or a machine file to show in detail.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """List the bundled machines, or show one in detail."""
@@ -183,7 +185,9 @@ def machines(
 
 @app.command()
 def tasks(
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="A bundled task or a task file to show in detail.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="A bundled task or a task file to show in detail.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """List the bundled tasks, or show one in detail."""

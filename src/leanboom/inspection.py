@@ -77,9 +77,7 @@ def reach(machine: Machine) -> Reach:
     empty = _pressures(machine, joints, 0.0)
     loaded = _pressures(machine, joints, _TRIAL)
     room = machine.pump.max_pressure - machine.pump.ls_margin
-    masses = [
-        _TRIAL * (room - p) / (q - p) for p, q in zip(empty[-3:-1], loaded[-3:-1], strict=True) if q > p + 1.0
-    ]
+    masses = [_TRIAL * (room - p) / (q - p) for p, q in zip(empty[-3:-1], loaded[-3:-1], strict=True) if q > p + 1.0]
     return Reach(float(r[at]), float(z[at]), float(z.max()), empty, max(0.0, min(masses, default=0.0)))
 
 

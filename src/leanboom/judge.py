@@ -113,9 +113,10 @@ def evaluate(task: Task, motion: Motion) -> Evaluation:
     c, w, u = motion.at(time) if task.smooth is None else _low_pass(motion, time, task.smooth)
     reference = sample(task, time)
     plane = cranes.plane(machine, reference)
-    pose = cranes.pose(crane, plane, c)
-    moving = cranes.move(pose, w, u)
-    force = np.stack(cranes.forces(pose, moving), axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):  # singular poses off the path: reported as such below
+        pose = cranes.pose(crane, plane, c)
+        moving = cranes.move(pose, w, u)
+        force = np.stack(cranes.forces(pose, moving), axis=1)
     velocity = np.stack(moving.velocity, axis=1)
     acceleration = np.stack(moving.acceleration, axis=1)
     joint_position = np.stack((plane.q1, *pose.q) if machine.geometry.slewing else pose.q, axis=1)
@@ -214,7 +215,7 @@ def _low_pass(motion: Motion, time: np.ndarray, cutoff: float) -> tuple[np.ndarr
     return c[0] + _integral(time, smooth), smooth, np.gradient(smooth, step)
 
 
-def _limit_use(task: Task, joint_position, velocity, acceleration) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _limit_use(task: Task, joint_position, velocity, acceleration) -> tuple[np.ndarray, ...]:
     """Use of position, velocity and acceleration limits at every sample, (samples, joints) each."""
     machine = task.machine
     lower = np.array([joint.lower for joint in machine.joints])
@@ -222,7 +223,8 @@ def _limit_use(task: Task, joint_position, velocity, acceleration) -> tuple[np.n
     position = np.abs(joint_position - 0.5 * (lower + upper)) / (0.5 * (upper - lower))
     fastest = np.array([cylinder.velocity_limit for cylinder in machine.cylinders])
     hardest = np.array([cylinder.acceleration_limit for cylinder in machine.cylinders])
-    return position, np.abs(velocity) / fastest, np.abs(acceleration) / hardest
+    used = position, np.abs(velocity) / fastest, np.abs(acceleration) / hardest
+    return tuple(np.where(np.isfinite(values), values, np.inf) for values in used)
 
 
 def _violations(task, motion, time, use, joint_position, velocity, acceleration, error) -> tuple[str, ...]:

@@ -33,13 +33,12 @@ METHODS = {
     "sns-actuator-weighted": "the same, cylinder velocities weighted by flow areas",
 }
 PUMPS = ("ls", "cp")
-POLISHED = ("ls", "cp")  # costs the polish knows
 
 # Tubes: nodes, and half widths relative to the coarse grid's spacing; halved each level.
 TUBE = (41, 33)
 TUBE_WIDTH, TUBE_SPREAD = 6.0, 6.0
 TUBE_LEVELS = 6
-REPEAT = 2e-3  # a tube is repeated at its width while the judged cost falls by more than this share
+REPEAT, TUBE_REPEATS = 2e-3, 4  # a tube is repeated while the judged cost falls by more than this share
 SETTLED = 1e-4  # polishing ends when it gains less than this share
 
 Progress = Callable[[str, float], None]
@@ -211,7 +210,7 @@ class _Run:
         spread = TUBE_SPREAD * 2.0 * problem.crane.machine.redundant.velocity_limit / (self.grid[1] - 1)
         first = None if free else start
         self.tubes(problem, first, width, spread, TUBE_LEVELS)
-        if self.cost in POLISHED and self.polish(problem, free):
+        if self.polish(problem, free):
             # The polish moved on from where its seed's modes came from: look around it once more.
             self.tubes(problem, first, width / 4.0, spread / 4.0, TUBE_LEVELS - 2)
             self.polish(problem, free)
@@ -224,7 +223,7 @@ class _Run:
         """Solve again on tubes around the best motion, halved each level, while the judged cost falls."""
         for level in range(levels):
             self.tell(f"tube {level + 1} of {levels}", 0.4 + 0.3 * level / levels)
-            while True:
+            for _ in range(TUBE_REPEATS):
                 assert self.best is not None
                 before = judged_cost(self.best, self.cost)
                 seed = _on_stages(self.best.motion, problem)
@@ -232,7 +231,7 @@ class _Run:
                 policy = dp.solve(problem, tube, self.cost)
                 first = dp.best_start(policy) if start is None else start
                 self.judge(dp.rollout(policy, first), f"tube of {width:.4f} m, {spread:.4f} m/s")
-                if judged_cost(self.best, self.cost) > before * (1.0 - REPEAT):
+                if judged_cost(self.best, self.cost) >= before * (1.0 - REPEAT):
                     break
             width, spread = 0.5 * width, 0.5 * spread
 
@@ -252,7 +251,7 @@ class _Run:
             assert self.best is not None
             before = judged_cost(self.best, self.cost)
             seed = _on_stages(self.best.motion, problem)
-            switches = polish.modes(problem, seed.position, seed.velocity, seed.acceleration)
+            switches = polish.modes(self.polisher, seed)
             if done is not None and switches.same_as(done):
                 break
             answer, text = polish.solve(self.polisher, seed, switches, free)
@@ -261,7 +260,7 @@ class _Run:
                 self.note(f"polish: {text}")
                 break
             self.judge(answer, f"polish ({text})")
-            if judged_cost(self.best, self.cost) > before * (1.0 - SETTLED):
+            if judged_cost(self.best, self.cost) >= before * (1.0 - SETTLED):
                 break
             gained = True
         return gained
@@ -270,8 +269,6 @@ class _Run:
         """The polish from the pseudo-inverse: nonlinear programming without the dynamic program."""
         from leanboom import pseudo_inverse
 
-        if self.cost not in POLISHED:
-            raise InputError(f"method polish minimises {' or '.join(POLISHED)}, not {self.cost}")
         problem = stages.discretise(self.task, self.step)
         start = dp.start_position(problem, self.task.start)
         first = float(0.5 * (problem.lower[0] + problem.upper[0])) if start is None else start
@@ -288,8 +285,7 @@ class _Run:
             return
         self.best = other
         self.note(f"the pseudo-inverse is better: {judged_cost(other, self.cost):.4g}; refining from it")
-        if self.cost in POLISHED:
-            self.polish(problem, False)
+        self.polish(problem, False)
 
     def baseline(self, start: float) -> Evaluation | None:
         """The actuator pseudo-inverse from a start [m], judged; None where it cannot follow the path."""

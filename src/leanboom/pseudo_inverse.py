@@ -50,6 +50,7 @@ def sns(
     The algorithm of the paper saturates the most critical joint until the rest fits, and never frees a joint again.
     That greedy order can miss a velocity that follows the task; then a linear programme finds the largest scale
     and saturated joints that pull the wrong way are freed, so a scale below 1 means that the box has no better.
+    Otherwise its answer is returned as it is; with two or more redundant joints its norm need not be the least.
 
     Args:
         jacobian: Task velocity per joint velocity, (tasks, joints), tasks <= joints, full rank.
@@ -62,7 +63,8 @@ def sns(
         The joint velocities, (joints,), and the scale in [0, 1] of the task velocity that they give.
 
     Raises:
-        InputError: If shapes do not fit, a weight is not positive, or a lower bound is above its upper bound.
+        InputError: If shapes do not fit, the jacobian lacks rank, a weight is not positive, or bounds contradict.
+        InfeasibleError: If not even scale 0 is inside the box.
     """
     jacobian = np.atleast_2d(np.asarray(jacobian, dtype=np.float64))
     rows, joints = jacobian.shape
@@ -75,6 +77,8 @@ def sns(
         )
     if not np.all((inverse > 0.0) & np.isfinite(inverse)):
         raise InputError("weights must be above 0")
+    if np.linalg.matrix_rank(jacobian) < rows:
+        raise InputError("the rows of the jacobian depend on each other")
     if np.any(lower > upper):
         raise InputError(f"lower bound of joint {int(np.argmax(lower > upper))} is above its upper bound")
     free = np.ones(joints)  # the diagonal matrix W of the SNS paper: 0 where a joint is saturated
@@ -185,10 +189,14 @@ class Line:
 
 
 def velocity_line(crane: cranes.Crane, plane: cranes.Plane, stroke) -> Line:
-    """The velocities on the path with the redundant cylinder at a stroke [m]; plane and stroke of one shape."""
+    """The velocities on the path with the redundant cylinder at a stroke [m]; plane and stroke of one shape.
+
+    Not finite where the arm is straight or folded up, as it is beyond the ends of its reach.
+    """
     pose = cranes.pose(crane, plane, stroke)
     rest = 0.0 * stroke  # of the shape of all other values
-    still, forth = cranes.move(pose, rest, rest), cranes.move(pose, rest + 1.0, rest)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        still, forth = cranes.move(pose, rest, rest), cranes.move(pose, rest + 1.0, rest)
     joint0, cylinder0 = np.array(still.joint_velocity).T, np.array(still.velocity).T
     return Line(
         joint0,
@@ -259,7 +267,8 @@ def velocity_bounds(problem: Problem, line: Line, strokes: np.ndarray | None = N
 
 def _interval(lower, upper, a0, a1) -> tuple[np.ndarray, np.ndarray]:
     """Velocities w with lower <= a0 + a1 w <= upper for all cylinders; none where the first is above the second."""
-    one, other = (lower - a0) / a1, (upper - a0) / a1
+    with np.errstate(divide="ignore", invalid="ignore"):
+        one, other = (lower - a0) / a1, (upper - a0) / a1
     return np.minimum(one, other).max(axis=-1), np.maximum(one, other).min(axis=-1)
 
 
@@ -289,7 +298,7 @@ def viable_strokes(problem: Problem, middle: cranes.Plane, points: list[cranes.P
             if sign * (edge - ends[k, side]) > 0.0:
                 line = velocity_line(problem.crane, points[k], float(edge))
                 edge = target - step * float(velocity_bounds(problem, line)[1 - side])
-                viable[k, side] = sign * max(sign * edge, sign * ends[k, side])
+                viable[k, side] = sign * np.fmax(sign * edge, sign * ends[k, side])
     empty = viable[:, 0] > viable[:, 1]
     viable[empty] = ends[empty]
     return viable
@@ -335,7 +344,9 @@ def resolve(task: Task, start_position: float, variant: str = "actuator", step: 
     for k, plane in enumerate(points):
         line = velocity_line(problem.crane, plane, c + 0.5 * step * w)
         low, high = velocity_bounds(problem, line, strokes)
-        w = min(max(least_velocity(line, variant, area_out, area_in), float(low)), float(high))
+        least = least_velocity(line, variant, area_out, area_in)
+        if np.isfinite(least):  # else the arm is straight just here: go on as before
+            w = min(max(least, float(low)), float(high))
         low, high = viable[k + 1] if viable is not None else _nearest(problem.intervals[k + 1], c)
         w = min(max(w, float(low - c) / step), float(high - c) / step)
         c += step * w

@@ -1,4 +1,403 @@
-"""stub"""
-def page(plan, grid=None):
-    """Stub."""
-    return "<!doctype html>"
+"""The report of a plan: one HTML file that opens offline and explains itself to a reader who knows cranes, not code.
+
+The page is `page/report.html` with its style and script; this module fills in texts, tables and the data that the
+script draws. Whatever comes from a file is escaped, and the page forbids itself every network access.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from leanboom import __version__, charts, inspection
+from leanboom.judge import SAMPLE, TOLERANCE
+from leanboom.planner import METHODS
+
+if TYPE_CHECKING:
+    from leanboom.judge import Evaluation
+    from leanboom.machine import Machine
+    from leanboom.planner import Plan
+
+PUMPS = {"ls": "load-sensing", "cp": "constant-pressure"}
+STATUS_COLOURS = {
+    "printed": "#14693a",
+    "derived": "#5a9e6f",
+    "identified": "#0b5c8c",
+    "assumed": "#d9931e",
+    "unstated": "#a3241b",
+}
+GOALS = {
+    "ls": "energy of a load-sensing pump",
+    "cp": "energy of a constant-pressure pump",
+    "actuator": "mechanical work of the cylinders",
+    "velocity": "squared velocities of the cylinders",
+    "extension": "use of the telescope",
+    "recuperation": "energy of a constant-pressure pump that gets return flow back",
+}
+POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
+
+_FOLDER = Path(__file__).parent / "page"
+_HOLE = re.compile(r"\{\{(\w+)\}\}")
+
+GLOSSARY = {
+    "Redundant crane": "A crane with one more joint than the tool path needs, here the telescope. The same path can be "
+    "followed in infinitely many ways, which differ in energy.",
+    "Load-sensing pump (LS)": "Its pressure follows the cylinder that needs the most, plus a fixed margin, and its "
+    "flow follows the sum of what the cylinders take. Energy is pressure times flow, so one highly loaded cylinder "
+    "makes all flow dear.",
+    "Constant-pressure pump (CP)": "Its pressure is always the same; energy is that pressure times the flow, so what "
+    "counts is how much oil the cylinders take.",
+    "Counted pressure": "What a cylinder asks of a load-sensing pump: the pressure in its driven chamber while it "
+    "moves against its load; zero while it is held, or lowered by its load.",
+    "Pseudo-inverse": "Today's usual method: at every instant, the cylinder velocities that are smallest in the sense "
+    "of least squares. It looks neither at loads nor ahead.",
+    "Dynamic programming": "A method that works backward from the end of the path and knows, for every state on the "
+    "way, the least energy still to come. It finds the best motion of all, not one that is only better than its "
+    "neighbours.",
+    "Use of a limit": "How much of the permitted range is used at the worst instant: 100 % is at the limit. For "
+    "positions, 0 % is the middle of the joint's range.",
+}
+
+
+def page(plan: Plan, grid: tuple[int, int] | None = None) -> str:
+    """The report of a plan as one HTML document.
+
+    Args:
+        plan: The plan.
+        grid: Position and velocity nodes the plan was made with, if known.
+
+    Returns:
+        The document's text.
+    """
+    from plotly.offline import get_plotlyjs
+
+    judged, task = plan.evaluation, plan.task
+    data = json.dumps(charts.data(plan), allow_nan=False, separators=(",", ":"))
+    for character in "<>&":  # nothing in the data may end the script element
+        data = data.replace(character, f"\\u{ord(character):04x}")
+    holes = {
+        "policy": POLICY,
+        "title": _text(task.name),
+        "subtitle": f"Crane {_text(task.machine.name)} · {PUMPS[plan.pump]} pump · {task.duration:g} s"
+        + (f" · payload {task.payload:g} kg" if task.payload else " · no payload"),
+        "style": (_FOLDER / "report.css").read_text(encoding="utf-8"),
+        "script": (_FOLDER / "report.js").read_text(encoding="utf-8"),
+        "plotly": get_plotlyjs(),
+        "data": data,
+        "version": __version__,
+        "badge": "good" if judged.feasible else "bad",
+        "verdict": "All limits kept" if judged.feasible else "No feasible motion",
+        "lead": _lead(plan),
+        "alerts": _alerts(plan),
+        "cards": _cards(plan),
+        "bars": _bars(plan),
+        "bars_caption": "Pump energy over the whole path. The same two motions are also measured with the other kind "
+        "of pump, which they were not planned for." if plan.baseline else "Pump energy over the whole path.",
+        "line_legend": _line_legend(plan),
+        "limits_table": _limits_table(plan),
+        "assumed": _assumed(task.machine),
+        "how": _how(plan, grid),
+        "glossary": "".join(f"<dt>{escape(word)}</dt><dd>{escape(text)}</dd>" for word, text in GLOSSARY.items()),
+        **_section_texts(plan),
+        **_crane_texts(plan),
+    }  # fmt: skip
+    return _HOLE.sub(lambda hole: holes[hole[1]], (_FOLDER / "report.html").read_text(encoding="utf-8"))
+
+
+def _text(value: object) -> str:
+    return escape(str(value))
+
+
+def _kilojoule(energy: float) -> str:
+    value = energy / 1e3
+    if not np.isfinite(value):
+        return "unknown"
+    return f"{value:.1f} kJ" if abs(value) >= 9.95 else f"{value:.2f} kJ"
+
+
+def _saving(plan: Plan) -> float | None:
+    """Share of the baseline's energy that the plan saves; None where there is nothing to compare."""
+    if plan.baseline is None:
+        return None
+    mine, theirs = plan.evaluation.energy(plan.pump), plan.baseline.energy(plan.pump)
+    return 1.0 - mine / theirs if theirs > 0.0 and np.isfinite(mine / theirs) else None
+
+
+def _lead(plan: Plan) -> str:
+    judged, pump = plan.evaluation, PUMPS[plan.pump]
+    if not judged.feasible:
+        return (
+            f"No motion was found that follows the path in {plan.task.duration:g} s and keeps every limit: "
+            f"{_text(judged.status)}. What is shown below is the closest one."
+        )
+    goal = "" if plan.motion.cost == plan.pump else f" It was chosen for the least {_goal(plan)}, not for this energy."
+    begin = (
+        f"The crane's tool follows a given path in {plan.task.duration:g} s. Its telescope leaves infinitely many ways "
+        f"to do so; this one takes <strong>{_kilojoule(judged.energy(plan.pump))}</strong> from a {pump} pump"
+    )
+    saving = _saving(plan)
+    if plan.baseline is None or saving is None:
+        return f"{begin}.{goal}"
+    other = _kilojoule(plan.baseline.energy(plan.pump))
+    if abs(saving) < 5e-4:
+        compared = "as much as the"
+    else:
+        compared = (
+            f"<strong>{100 * abs(saving):.0f} % {'less' if saving > 0.0 else 'more'}</strong> than the {other} of the"
+        )
+    return f"{begin}, {compared} method in use today, the pseudo-inverse.{goal}"
+
+
+def _goal(plan: Plan) -> str:
+    return _text(GOALS.get(plan.motion.cost, plan.motion.cost))
+
+
+def _alerts(plan: Plan) -> str:
+    lines = [("alert bad", f"Limit broken: {text}.") for text in plan.evaluation.violations]
+    lines += [("alert", f"Beyond the pump, which the plan does not look at: {text}.") for text in plan.evaluation.notes]
+    if plan.baseline is not None and not plan.baseline.feasible:
+        lines.append(("alert", f"The pseudo-inverse it is compared with breaks a limit: {plan.baseline.status}."))
+    if plan.baseline is None:
+        lines.append(("alert", "There is no comparison: the pseudo-inverse cannot follow this path."))
+    return "".join(f'<p class="{kind}">{_text(text)}</p>' for kind, text in lines)
+
+
+def _cards(plan: Plan) -> str:
+    judged, duration = plan.evaluation, plan.task.duration
+    mine, use = judged.energy(plan.pump), judged.limit_use
+    nearest = max(("position", "velocity", "acceleration"), key=lambda kind: getattr(use, kind))
+    cards = [
+        ("Energy, plan", _kilojoule(mine), f"{mine / duration / 1e3:.2f} kW on average", " first"),
+    ]
+    if plan.baseline is not None:
+        theirs = plan.baseline.energy(plan.pump)
+        cards.append(("Energy, pseudo-inverse", _kilojoule(theirs), f"{theirs / duration / 1e3:.2f} kW on average", ""))
+    saving = _saving(plan)
+    if saving is not None:
+        what = "Saving" if saving >= 0.0 else "Loss"
+        cards.append((what, f"{100 * abs(saving):.1f} %", f"{PUMPS[plan.pump]} pump", ""))
+    kept = "all kept" if judged.feasible else f"{len(judged.violations)} broken"
+    cards.append(("Limits", kept, f"{nearest} {100 * use.worst:.0f} % used", ""))
+    cards.append(("Time", f"{duration:g} s", f"planned in {plan.motion.solve_s:.1f} s", ""))
+    return "".join(
+        f'<div class="card{extra}"><span class="what">{what}</span><span class="value">{value}</span>'
+        f'<span class="more">{more}</span></div>'
+        for what, value, more, extra in cards
+    )
+
+
+def _bars(plan: Plan) -> str:
+    judged, other = plan.evaluation, plan.baseline
+    motions = [("plan", judged, "")] + ([("pseudo-inverse", other, " other")] if other is not None else [])
+    order = [plan.pump, *(pump for pump in PUMPS if pump != plan.pump)]
+    largest = max((motion.energy(pump) for pump in order for _, motion, _ in motions), default=0.0)
+    lines = []
+    for pump in order:
+        for i, (name, motion, kind) in enumerate(motions):
+            energy = motion.energy(pump)
+            share = energy / largest if np.isfinite(energy) and 0.0 < largest < np.inf else 0.0
+            gap = " gap" if i == 0 and pump != plan.pump else ""
+            aside = " aside" if pump != plan.pump else ""
+            lines.append(
+                f'<div class="bar{kind}{aside}{gap}"><span>{PUMPS[pump]}, {name}</span><span class="track">'
+                f'<span class="fill" style="--share:{share:.4f}"></span>'
+                f'<span class="amount">{_kilojoule(energy)}</span></span></div>'
+            )
+    return "".join(lines)
+
+
+def _section_texts(plan: Plan) -> dict[str, str]:
+    pump, machine = plan.task.machine.pump, plan.task.machine
+    if plan.pump == "ls":
+        supply = f"the highest counted cylinder pressure plus {pump.ls_margin / 1e6:g} MPa"
+    else:
+        supply = f"always {pump.constant_pressure / 1e6:g} MPa"
+    compare = " Both motions move the tool in the same way; only the boom's posture differs." if plan.baseline else ""
+    return {
+        "motion_text": "The crane drawn to scale, at a moment when its two postures differ much; press play to see it "
+        f"along the whole path.{compare}" if plan.baseline else "The crane drawn to scale along its path.",
+        "pump_text": f"Power is supply pressure times flow; the supply pressure is {supply}. The pump can give "
+        f"{pump.max_pressure / 1e6:g} MPa and {pump.max_flow * 6e4:.0f} l/min. The thin upright line is the moment "
+        "shown above.",
+        "cylinder_text": "Lengths and velocities must stay between the red dotted lines. Forces push the cylinder out "
+        "where they are positive. Counted pressures are what a load-sensing pump has to supply: zero while a cylinder "
+        f"is held (slower than {1e3 * machine.driven_velocity:g} mm/s) or moved by its load.",
+        "limits_text": "The largest use of each limit at any instant; 100 % is at the limit. A position is measured "
+        "from the middle of the joint's range.",
+    }  # fmt: skip
+
+
+def _crane_texts(plan: Plan) -> dict[str, str]:
+    machine, compared = plan.task.machine, plan.baseline is not None
+    colours = charts.colours(machine)
+    shown = {"base": "column", "lift": "boom, moved by lift", "tilt": "outer boom, moved by tilt"}
+    names = [name for name in ("base", "lift", "tilt", "extension") if name == "base" or name in machine.names]
+    legend = [(colours[name], shown.get(name, "telescope"), "") for name in names]
+    if compared:
+        legend.append(("#9aa3ad", "pseudo-inverse", ' opacity="0.6"'))
+    items = [
+        f'<li><svg aria-hidden="true"><line x1="3" x2="27" y1="6" y2="6" stroke="{colour}" stroke-width="8" '
+        f'stroke-linecap="round"{extra}/></svg>{text}</li>'
+        for colour, text, extra in legend
+    ]
+    items.append(
+        '<li><svg aria-hidden="true"><line x1="0" x2="30" y1="6" y2="6" stroke="#17202b" stroke-width="2" '
+        'stroke-dasharray="5 4"/></svg>tool path</li>'
+    )
+    rows = [
+        ("Extension cylinder", "stroke", "m"),
+        (f"Supply pressure, {PUMPS[plan.pump]}", "supply", "MPa"),
+        ("Pump power", "power", "kW"),
+        ("Energy so far", "energy", "kJ"),
+    ]
+    who = ["plan", "other"] if compared else ["plan"]
+    body = "".join(
+        f'<tr><th scope="row">{label} [{unit}]</th>'
+        + "".join(f'<td class="n" data-now="{motion} {key}"></td>' for motion in who)
+        + "</tr>"
+        for label, key, unit in rows
+    )
+    head = '<th scope="col" class="n">plan</th>'
+    head += '<th scope="col" class="n">pseudo-inverse</th>' if compared else ""
+    return {
+        "views": "two" if machine.geometry.slewing else "one",
+        "crane_legend": "".join(items),
+        "now_head": head,
+        "now_rows": body,
+    }
+
+
+def _line_legend(plan: Plan) -> str:
+    def item(colour: str, width: float, dash: str, text: str) -> str:
+        return (
+            f'<li><svg aria-hidden="true"><line x1="0" x2="30" y1="6" y2="6" stroke="{colour}" '
+            f'stroke-width="{width}" stroke-dasharray="{dash}"/></svg>{text}</li>'
+        )
+
+    items = [item("#17202b", 2.5, "", "plan (coloured by cylinder)")]
+    if plan.baseline is not None:
+        items.append(item("#7b8490", 2, "5 3", "pseudo-inverse"))
+    items.append(item("#b3261e", 1.6, "2 3", "limit"))
+    return f'<ul class="legend">{"".join(items)}</ul>'
+
+
+def uses(evaluation: Evaluation) -> np.ndarray:
+    """Largest use of position, velocity and acceleration limit of each joint, (3, joints).
+
+    Args:
+        evaluation: The judged motion.
+    """
+    e, machine = evaluation, evaluation.task.machine
+    lower = np.array([joint.lower for joint in machine.joints])
+    upper = np.array([joint.upper for joint in machine.joints])
+    position = np.abs(e.joint_position - 0.5 * (lower + upper)) / (0.5 * (upper - lower))
+    velocity = np.abs(e.velocity) / np.array([cylinder.velocity_limit for cylinder in machine.cylinders])
+    acceleration = np.abs(e.acceleration) / np.array([cylinder.acceleration_limit for cylinder in machine.cylinders])
+    return np.stack([use.max(axis=0) for use in (position, velocity, acceleration)])
+
+
+def _limits_table(plan: Plan) -> str:
+    machine = plan.task.machine
+    motions = [(uses(plan.evaluation), "")]
+    if plan.baseline is not None:
+        motions.append((uses(plan.baseline), " other"))
+    kinds = ("Position", "Velocity", "Acceleration")
+    span = len(motions)
+    names = ["plan", "pseudo-inverse"][:span]
+    head = "".join(f'<th scope="colgroup" colspan="{span}">{kind}</th>' for kind in kinds)
+    second = "".join(f'<th scope="col" class="n">{name}</th>' for _ in kinds for name in names)
+    body = []
+    for j, cylinder in enumerate(machine.cylinders):
+        limits = f"{cylinder.velocity_limit:g} m/s, {cylinder.acceleration_limit:g} m/s²"
+        cells = "".join(
+            _use_cell(float(values[kind, j]), extra) for kind in range(len(kinds)) for values, extra in motions
+        )
+        body.append(f'<tr><th scope="row">{cylinder.name.capitalize()}</th><td>{limits}</td>{cells}</tr>')
+    return (
+        '<div class="scroll"><table class="limits"><thead>'
+        f'<tr><th></th><th></th>{head}</tr><tr><th scope="col">Cylinder</th><th scope="col">Limits</th>{second}</tr>'
+        f"</thead><tbody>{''.join(body)}</tbody></table></div>"
+    )
+
+
+def _use_cell(use: float, extra: str) -> str:
+    if not np.isfinite(use):
+        return '<td class="n over">unknown</td>'
+    over = " over" if use > TOLERANCE else ""
+    return f'<td class="n{extra}{over}" style="--use:{min(100.0, 100.0 * use):.0f}%">{100.0 * use:.1f} %</td>'
+
+
+def _assumed(machine: Machine) -> str:
+    counts, total = inspection.count(machine), len(machine.provenance)
+    described = f"<p>{_text(machine.description)}</p>" if machine.description else ""
+    if not total:
+        return f"{described}<p>The machine's values do not say where they come from.</p>"
+    present = [(status, number) for status, number in counts.items() if number]
+    bar = "".join(
+        f'<span style="flex:{number};background:{STATUS_COLOURS[status]}"></span>' for status, number in present
+    )
+    legend = "".join(
+        f'<li><svg class="square" aria-hidden="true"><rect width="12" height="12" '
+        f'fill="{STATUS_COLOURS[status]}"/></svg>'
+        f"{number} {status}</li>"
+        for status, number in present
+    )
+    parts = [
+        described,
+        f"<p><strong>{_text(inspection.assumed(machine))}.</strong> Printed values stand in the literature or a data "
+        "sheet, derived ones follow from them, identified ones were measured on the machine. Savings depend on the "
+        "assumed ones; replace them by measured values before relying on absolute numbers.</p>",
+        f'<div class="counts" aria-hidden="true">{bar}</div><ul class="legend">{legend}</ul>',
+    ]
+    rows = _assumed_rows(machine)
+    if rows:
+        body = "".join(f"<tr>{''.join(f'<td>{_text(cell)}</td>' for cell in row)}</tr>" for row in rows)
+        parts.append(
+            "<details><summary>All assumed values</summary><div class='scroll'><table><thead><tr>"
+            '<th scope="col">Value</th><th scope="col">is</th><th scope="col">because</th></tr></thead>'
+            f"<tbody>{body}</tbody></table></div></details>"
+        )
+    return "".join(parts)
+
+
+def _assumed_rows(machine: Machine) -> list[tuple[str, str, str]]:
+    """Key, value and reason of what is assumed or unstated; a list's entries in one row."""
+    rows: dict[tuple[str, str], list[str]] = {}
+    for entry in machine.provenance:
+        if entry.status in ("assumed", "unstated"):
+            key = re.sub(r"(\[\d+\])+$", "", entry.key).replace(".", " › ").replace("_", " ")
+            note = entry.note if entry.status == "assumed" else "origin not stated"
+            rows.setdefault((key, note), []).append(entry.value)
+    return [(key, ", ".join(values), note) for (key, note), values in rows.items()]
+
+
+def _how(plan: Plan, grid: tuple[int, int] | None) -> str:
+    motion = plan.motion
+    settings = [f"stages of {1e3 * motion.step:g} ms"]
+    if grid is not None and motion.method == "dp":
+        settings.insert(0, f"a coarse grid of {grid[0]} positions and {grid[1]} velocities of the extension cylinder")
+    method = METHODS.get(motion.method, "")
+    lines = [
+        f"The motion was found by method <strong>{_text(motion.method)}</strong>"
+        + (f" ({_text(method)})" if method else "")
+        + f", minimising the {_goal(plan)}, with {' and '.join(settings)}. The extension cylinder starts at "
+        f"{float(motion.position[0]):.4f} m.",
+        f"Every energy, pressure and limit on this page, for the plan and for the pseudo-inverse alike, was then "
+        f"measured afresh: the whole crane's motion is worked out every {1e3 * SAMPLE:g} ms, with the dynamics, "
+        "friction and hydraulics of the machine file, and pump power is added up over time. The charts show every "
+        "tenth of these instants or fewer; trajectory.csv, beside this page, holds them all.",
+        f"The tool leaves its path by at most {1e3 * plan.evaluation.path_error:.3f} mm. A limit counts as kept up to "
+        f"{100 * TOLERANCE:.1f} % use.",
+    ]  # fmt: skip
+    log = ""
+    if motion.log:
+        unit = "J" if motion.cost in ("ls", "cp", "actuator", "recuperation") else "SI units"
+        text = _text("\n".join(motion.log))
+        title = f"Steps of the search (time, step, cost in {unit})"
+        log = f"<details open><summary>{title}</summary><pre>{text}</pre></details>"
+    return "".join(f"<p>{line}</p>" for line in lines) + log

@@ -20,7 +20,7 @@ from leanboom.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from leanboom.evaluate import Evaluation
+    from leanboom.judge import Evaluation
     from leanboom.planner import Plan
 
 SUMMARY, TASK, MACHINE, TRAJECTORY, REPORT = FILES = (

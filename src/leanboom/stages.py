@@ -214,16 +214,25 @@ def tables(problem: Problem, grid: Grid, cost: str) -> Tables:
     stage[:, kernels.DC] = (c_hi - grid.c_lo) / (grid.positions - 1)
     stage[:, kernels.W_LO] = grid.w_lo
     stage[:, kernels.DW] = (grid.w_hi - grid.w_lo) / (grid.velocities - 1)
-    prescribe(problem, stage, cost)
+    flow, pressure, rate = prescribed(problem, cost)
+    stage[:, kernels.FIXED_FLOW], stage[:, kernels.FIXED_PRESSURE], stage[:, kernels.FIXED_COST] = flow, pressure, rate
     return Tables(coefficients, _distance_outside(problem, nodes), stage, cylinder_table(problem), grid.velocities)
 
 
-def prescribe(problem: Problem, stage: np.ndarray, cost: str) -> None:
-    """Flow, pressure and cost of the cylinders that the path alone moves."""
-    stage[:, kernels.FIXED_FLOW] = stage[:, kernels.FIXED_PRESSURE] = stage[:, kernels.FIXED_COST] = 0.0
+def prescribed(problem: Problem, cost: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the cylinders that the path alone moves add at every stage.
+
+    Args:
+        problem: The discretised task.
+        cost: A name of `objective.COSTS`.
+
+    Returns:
+        Pump flow [m^3/s], counted pressure [Pa] and rate of the costs without pump, (stages + 1,) each.
+    """
     crane = problem.crane
+    zero = np.zeros(problem.stages + 1)
     if not crane.machine.geometry.slewing:
-        return
+        return zero, zero, zero
     pose = cranes.pose(crane, problem.plane, 0.5 * (problem.lower + problem.upper))
     moving = cranes.move(pose, 0.0, 0.0)
     v, force, d = moving.velocity[0], cranes.forces(pose, moving)[0], crane.drives[0]
@@ -232,14 +241,11 @@ def prescribe(problem: Problem, stage: np.ndarray, cost: str) -> None:
         flow = hydraulics.recuperating_flow(v, cylinder.piston_area, cylinder.rod_side_area)
     else:
         flow = hydraulics.cylinder_flow(v, d.area_out, d.area_in)
-    stage[:, kernels.FIXED_FLOW] = flow
-    stage[:, kernels.FIXED_PRESSURE] = hydraulics.counted_pressure(
+    pressure = hydraulics.counted_pressure(
         v, force, crane.machine.driven_velocity, d.gain_out, d.back_out, d.gain_in, d.back_in
     )
-    if cost == "actuator":
-        stage[:, kernels.FIXED_COST] = hydraulics.positive_work(v, force)
-    elif cost == "velocity":
-        stage[:, kernels.FIXED_COST] = v * v
+    rate = {"actuator": hydraulics.positive_work(v, force), "velocity": v * v}.get(cost, zero)
+    return flow, pressure, rate
 
 
 def cylinder_table(problem: Problem) -> np.ndarray:

@@ -18,7 +18,7 @@ from leanboom.source import shortened
 from leanboom.task import Spline
 
 if TYPE_CHECKING:
-    from leanboom.evaluate import Evaluation
+    from leanboom.judge import Evaluation
     from leanboom.machine import Machine
     from leanboom.planner import Plan
     from leanboom.task import Task
@@ -174,14 +174,17 @@ def task_facts(task: Task) -> dict[str, Any]:
     Args:
         task: The task.
     """
-    spline = isinstance(task.path, Spline)
+    path = task.path
+    if isinstance(path, Spline):
+        timing = {"path": "spline", "times_s": list(path.times)}
+    else:
+        timing = {"path": "lines", "durations_s": list(path.durations)}
     return {
         "name": task.name,
         "machine": task.machine.name,
         "payload_kg": task.payload,
-        "path": "spline" if spline else "lines",
+        **timing,
         "points_m": [list(point) for point in task.path.points],
-        **({"times_s": list(task.path.times)} if spline else {"durations_s": list(task.path.durations)}),
         "duration_s": task.duration,
         "start": task.start,
         "smooth_hz": task.smooth,

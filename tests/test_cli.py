@@ -1,0 +1,315 @@
+"""The command line: what goes to which stream, exit codes, and messages that say what to change."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from leanboom import cli, dp, files, inspection, motion, objective, planner, runfolder
+from leanboom.errors import InfeasibleError
+from leanboom.judge import evaluate
+
+TASKS = (
+    "forwarder-half-cycle, forwarder-horizontal, forwarder-vertical, loader-triangle-large, loader-triangle-medium, "
+    "loader-triangle-small"
+)
+
+
+@pytest.fixture(scope="module")
+def planned():
+    """A plan that holds the telescope, made without a solver."""
+    task = files.load_task("forwarder-vertical", start=0.6713)
+    judged = evaluate(task, motion.from_velocities(0.1, 0.6713, np.zeros(61), "dp", "ls", solve_s=0.5))
+    other = evaluate(task, motion.from_velocities(0.1, 0.516, np.zeros(61), "sns-actuator", "velocity"))
+    return planner.Plan(task, "ls", judged.motion, judged, other, 64 << 20)
+
+
+@pytest.fixture
+def calls(monkeypatch, planned):
+    """Replaces the planner by one that is done at once; what it was asked is kept."""
+    asked = []
+
+    def run(task, **settings):
+        settings.pop("progress")("loading", 0.0)
+        asked.append((task, settings))
+        return planned
+
+    monkeypatch.setattr(planner, "run", run)
+    return asked
+
+
+def leanboom(*arguments):
+    """Run the command line as a shell would, on a wide terminal."""
+    return CliRunner().invoke(cli.app, arguments, env={"COLUMNS": "160", "TERM": "dumb", "NO_COLOR": "1"})
+
+
+def words(text):
+    return " ".join(re.sub(r"[│╭╮╰╯─]", " ", text).split())
+
+
+def test_help_names_every_command_method_and_cost():
+    assert all(name in leanboom("--help").stdout for name in ("plan", "check", "machines", "tasks"))
+    text = words(leanboom("plan", "--help").stdout)
+    listed = {
+        option: re.split(r"[,.]? ", part[1])
+        for option, part in {
+            "methods": re.search(r"dp \(the global optimum\), (.*?)\. \[", text),
+            "costs": re.search(r"if not the pump's energy: (.*?)\. ", text),
+        }.items()
+        if part
+    }
+    assert {"dp", *listed["methods"]} == set(planner.METHODS)
+    assert set(listed["costs"]) == set(objective.COSTS)
+
+
+def test_version():
+    result = leanboom("--version")
+    assert result.exit_code == 0
+    assert re.fullmatch(r"leanboom \d+\.\d+\.\d+\n", result.stdout)
+
+
+def test_help_starts_without_heavy_imports():
+    program = (
+        "import sys; from leanboom import cli; sys.argv = ['leanboom', 'plan', '--help']\n"
+        "try: cli.main()\n"
+        "except SystemExit as end: assert end.code == 0\n"
+        "print(sorted({'numba', 'plotly', 'numpy', 'scipy', 'casadi', 'pint'} & set(sys.modules)))"
+    )
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert answer.stdout.splitlines()[-1] == "[]"
+
+
+def test_plan_prints_json_and_nothing_else(calls, planned):
+    result = leanboom("plan", "forwarder-vertical", "--json")
+    assert result.exit_code == 0
+    assert result.stderr == ""
+    found = json.loads(result.stdout)
+    assert found == runfolder.summary(planned)
+    assert tuple(found) == runfolder.KEYS
+
+
+def test_plan_hands_its_options_on(calls):
+    leanboom(
+        *"plan forwarder-vertical --pump cp --cost actuator --method dp1 --grid 41x21 --start".split(), "45 cm",
+        "--step", "100 ms",
+    )  # fmt: skip
+    task, settings = calls[0]
+    assert task.start == 0.45
+    assert settings == {"pump": "cp", "cost": "actuator", "method": "dp1", "grid": (41, 21), "step": 0.1}
+
+
+def test_plan_without_options_uses_the_stated_defaults(calls):
+    leanboom("plan", "forwarder-vertical")
+    task, settings = calls[0]
+    assert task.start == "smallest"
+    assert settings == {"pump": "ls", "cost": None, "method": "dp", "grid": (201, 101), "step": 0.05}
+
+
+def test_plan_tells_people_energies_saving_limits_and_assumptions(calls, planned):
+    result = leanboom("plan", "forwarder-vertical")
+    mine, theirs = planned.evaluation.energy_ls, planned.baseline.energy_ls
+    text = words(result.stdout)
+    assert result.exit_code == 0 and result.stderr == ""
+    saving = f"{mine / 1e3:.2f} {theirs / 1e3:.2f} {100 * (1 - mine / theirs):.1f} %"
+    assert f"load-sensing pump (chosen) {saving}" in text
+    assert "Limits all kept" in text
+    assert "52 of 111 machine values are assumed (leanboom check forwarder)." in text
+
+
+def test_plan_writes_a_run_folder(calls, tmp_path):
+    result = leanboom("plan", "forwarder-vertical", "--out", str(tmp_path / "run"))
+    assert result.exit_code == 0
+    assert str(tmp_path / "run" / "report.html") in result.stdout
+    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == sorted(runfolder.FILES)
+
+
+def test_plan_refuses_a_strange_folder_before_it_plans(calls, tmp_path):
+    (tmp_path / "precious").write_text("", encoding="utf-8")
+    result = leanboom("plan", "forwarder-vertical", "--out", str(tmp_path))
+    assert result.exit_code == 2
+    assert "holds precious: give a new or empty folder" in result.stderr
+    assert calls == []
+
+
+BAD = {
+    "task": (("nope",), f"leanboom: task = nope; must be a file or a bundled task: {TASKS}\n"),
+    "grid": (
+        ("forwarder-vertical", "--grid", "201"),
+        "leanboom: grid = 201; must be positions x velocities, such as 201x101\n",
+    ),
+    "two at once": (
+        ("forwarder-vertical", "--grid", "ax3", "--step", "-1"),
+        "leanboom: grid = ax3; must be positions x velocities, such as 201x101\n"
+        "step = -1; must be a time above 0, such as 0.05 or '50 ms'\n",
+    ),
+    "step": (
+        ("forwarder-vertical", "--step", "5 mm"),
+        "leanboom: step = 5 mm; must be a time above 0, such as 0.05 or '50 ms'\n",
+    ),
+    "start": (
+        ("forwarder-vertical", "--start", "largest"),
+        "leanboom: start = largest; must be smallest, middle, best, or a length of the redundant cylinder such as "
+        "0.3 m\n",
+    ),
+}
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD.values(), ids=BAD)
+def test_plan_refuses_bad_input(calls, arguments, message):
+    result = leanboom("plan", *arguments)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr == message
+    assert calls == []
+
+
+@pytest.mark.parametrize("option", ["--method", "--cost"])
+def test_unknown_methods_and_costs_list_the_valid_ones(option):
+    result = leanboom("plan", "forwarder-vertical", option, "nope")
+    assert result.exit_code == 2
+    names = planner.METHODS if option == "--method" else objective.COSTS
+    assert all(name in result.stderr for name in names)
+
+
+def test_usage_errors_exit_with_2():
+    assert leanboom("plan", "forwarder-vertical", "--pump", "electric").exit_code == 2
+    assert leanboom("plan").exit_code == 2
+    assert leanboom("fly").exit_code == 2
+
+
+def test_no_feasible_motion_exits_with_1(monkeypatch):
+    def run(task, **settings):
+        raise InfeasibleError("the tool is out of reach at 1.00 s (stage 20)")
+
+    monkeypatch.setattr(planner, "run", run)
+    result = leanboom("plan", "forwarder-vertical", "--json")
+    assert result.exit_code == 1
+    assert result.stdout == ""
+    assert result.stderr == "leanboom: the tool is out of reach at 1.00 s (stage 20)\n"
+
+
+def test_an_infeasible_plan_is_shown_and_exits_with_1(monkeypatch, planned):
+    task = planned.task
+    # The task's own path, in a fifth of the time.
+    fast = type(task)(task.name, task.machine, type(task.path)(task.path.points, (1.2,)))
+    judged = evaluate(fast, motion.from_velocities(0.1, 0.6713, np.zeros(13), "dp", "ls"))
+    monkeypatch.setattr(planner, "run", lambda *_, **__: planner.Plan(fast, "ls", judged.motion, judged, None, 0))
+    result = leanboom("plan", "forwarder-vertical", "--json")
+    assert result.exit_code == 1
+    assert json.loads(result.stdout)["status"] == judged.status != "solved"
+    assert result.stderr == f"leanboom: {judged.status}\n"
+    assert "Violated" in leanboom("plan", "forwarder-vertical").stdout
+
+
+def test_ctrl_c_exits_with_130_and_leaves_nothing(monkeypatch, tmp_path):
+    def run(task, **settings):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(planner, "run", run)
+    result = leanboom("plan", "forwarder-vertical", "--out", str(tmp_path / "run"))
+    assert result.exit_code == 130
+    assert "Traceback" not in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_slow_beginning_is_told_on_standard_error(monkeypatch, planned):
+    import time
+
+    def run(task, **settings):
+        settings["progress"]("loading kernels", 0.0)
+        time.sleep(0.3)
+        return planned
+
+    monkeypatch.setattr(planner, "run", run)
+    monkeypatch.setattr(cli, "PATIENCE", 0.05)
+    result = leanboom("plan", "forwarder-vertical", "--json")
+    assert result.stderr == "leanboom: loading kernels\n"
+    assert json.loads(result.stdout)["status"] == "solved"
+
+
+def test_a_baseline_is_planned_from_end_to_end(monkeypatch, tmp_path):
+    monkeypatch.setattr(dp, "prepare", lambda: None)  # the pseudo-inverse needs no kernel
+    out = tmp_path / "run"
+    result = leanboom("plan", "forwarder-vertical", "--method", "sns-actuator", "--out", str(out), "--json")
+    assert result.exit_code == 0, result.stderr
+    found = json.loads(result.stdout)
+    assert found == json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert found["energy_j"] == pytest.approx(17.16e3, rel=0.01)
+    assert found["method"] == "sns-actuator"
+
+
+def test_check_counts_where_values_come_from():
+    result = leanboom("check", "forwarder")
+    text = words(result.stdout)
+    assert result.exit_code == 0
+    assert "forwarder: machine forwarder is right." in text
+    assert "printed 51 derived 8 identified 0 assumed 52 unstated 0" in text
+    assert "cylinders.tilt.linkage.L22 0.181 m proportions of two comparable cranes" in text
+
+
+def test_check_reads_tasks_and_files(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text(files.dump_task(files.load_task("loader-triangle-small"), "loader"), encoding="utf-8")
+    result = leanboom("check", str(file), "forwarder-vertical")
+    assert result.exit_code == 0
+    assert "task loader-triangle-small is right" in result.stdout
+    assert "forwarder-vertical: task forwarder-vertical is right" in result.stdout
+
+
+def test_check_reports_every_problem_of_every_file(tmp_path):
+    machine, task = tmp_path / "machine.yaml", tmp_path / "task.yaml"
+    text = files.dump_machine(files.load_machine("loader")).replace("bore: 80 mm", "bore: -80 mm")
+    machine.write_text(text, encoding="utf-8")
+    task.write_text("machine: nope\npath: {}\n", encoding="utf-8")
+    result = leanboom("check", str(machine), "loader", str(task), "missing")
+    assert result.exit_code == 2
+    assert result.stderr.count("bore = -80 mm; must be above 0") == 2
+    assert f"{task}:1: machine = nope" in result.stderr
+    assert (
+        "missing: is no file and no bundled name; machines: forwarder, loader; tasks: forwarder-half" in result.stderr
+    )
+    assert "machine loader is right" in result.stdout
+
+
+def test_check_says_when_a_path_cannot_be_reached(tmp_path):
+    file = tmp_path / "far.yaml"
+    text = files.dump_task(files.load_task("forwarder-horizontal"), "forwarder")
+    file.write_text(text.replace("[7.2, 0, 2]", "[12, 0, 2]"), encoding="utf-8")
+    assert leanboom("check", str(file)).exit_code == 1
+
+
+def test_reach_and_static_pressures_are_plausible():
+    reach = inspection.reach(files.load_machine("forwarder"))
+    assert reach.radius == pytest.approx(9.1, abs=0.01)  # printed: "reach 9.1 m"
+    assert reach.pressure[0] == 0.0
+    assert all(1e6 < pressure < 21.5e6 for pressure in reach.pressure[1:])
+    assert inspection.doubts(files.load_machine("forwarder")) == ()
+
+
+@pytest.mark.parametrize("kind", ["machines", "tasks"])
+def test_lists_name_every_bundled_one(kind):
+    names = list(files.bundled_machines() if kind == "machines" else files.bundled_tasks())
+    text = leanboom(kind).stdout
+    assert all(name in text for name in names)
+    assert [entry["name"] for entry in json.loads(leanboom(kind, "--json").stdout)] == names
+    one = json.loads(leanboom(kind, names[0], "--json").stdout)
+    assert one["name"] == names[0]
+    assert names[0] in leanboom(kind, names[0]).stdout
+
+
+def test_unknown_names_list_the_valid_ones():
+    result = leanboom("machines", "forwader")
+    assert result.exit_code == 2
+    assert "forwarder, loader; did you mean forwarder?" in result.stderr
+
+
+def test_control_characters_of_file_names_are_not_printed():
+    result = leanboom("check", "\x1b[31mred")
+    assert result.exit_code == 2
+    assert "\x1b" not in result.stderr

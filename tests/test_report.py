@@ -1,0 +1,165 @@
+"""The report: self-contained, escaped, its numbers those of the judge."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from leanboom import charts, files, motion, planner, report
+from leanboom.judge import evaluate
+from leanboom.machine import Provenance
+
+
+def held(task, length, method="dp"):
+    """The judged motion that leaves the telescope where it is."""
+    return evaluate(task, motion.from_velocities(0.1, length, np.zeros(61), method, "ls", log=("first step: 1 < 2",)))
+
+
+def made(task, plan=0.6713, other: float | None = 0.516):
+    judged = held(task, plan)
+    baseline = None if other is None else held(task, other)
+    return planner.Plan(task, "ls", judged.motion, judged, baseline, 123)
+
+
+def paced(task, factor):
+    """The task in `factor` times its duration."""
+    return replace(task, path=replace(task.path, durations=tuple(factor * d for d in task.path.durations)))
+
+
+@pytest.fixture(scope="module")
+def task():
+    return files.load_task("forwarder-vertical")
+
+
+@pytest.fixture(scope="module")
+def plan(task):
+    return made(task)
+
+
+@pytest.fixture(scope="module")
+def page(plan):
+    return report.page(plan, (11, 7))
+
+
+def without_bundle(page):
+    """The page but for plotly.js, which mentions addresses it never visits."""
+    from plotly.offline import get_plotlyjs
+
+    bundle = get_plotlyjs()
+    assert page.count(bundle) == 1
+    return page.replace(bundle, "")
+
+
+def data_of(page):
+    return json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)[1])
+
+
+def test_the_page_needs_no_network(page):
+    assert "http" not in without_bundle(page).replace("http-equiv", "")
+    assert re.findall(r'(?:src|href)\s*=\s*["\']', without_bundle(page)) == []
+    assert "default-src 'none'" in page
+    assert len(page.encode()) < 6e6
+
+
+def test_the_page_is_complete(page):
+    assert page.startswith("<!doctype html>") and page.rstrip().endswith("</html>")
+    assert re.findall(r"\{\{\w+\}\}", page) == []
+    ids = re.findall(r'\sid="([\w-]+)"', without_bundle(page))
+    assert len(ids) == len(set(ids))
+    wanted = re.findall(r'getElementById\("([\w-]+)"\)', without_bundle(page))
+    assert set(wanted) <= set(ids)
+
+
+def test_the_summary_states_energies_and_saving(plan, page):
+    mine, theirs = plan.evaluation.energy_ls, plan.baseline.energy_ls
+    assert f"<strong>{mine / 1e3:.2f} kJ</strong>" in page
+    assert f"{theirs / 1e3:.1f} kJ" in page
+    assert f"{100 * (1 - mine / theirs):.0f} % less" in page
+    assert "All limits kept" in page
+
+
+def test_assumed_values_are_called_assumed(page):
+    assert "52 of 111 machine values are assumed." in page
+    assert "cylinders › tilt › linkage › L22" in page
+    assert "proportions of two comparable cranes" in page
+
+
+def test_method_grid_step_and_log_are_told(page):
+    assert "11 positions and 7 velocities" in page
+    assert "stages of 100 ms" in page
+    assert "first step: 1 &lt; 2" in page
+
+
+def test_text_from_files_is_escaped(plan):
+    evil = "</script><img src=x onerror=alert(1)>&"
+    machine = replace(
+        plan.task.machine, name=evil, description=evil, provenance=(Provenance(evil, evil, "assumed", evil),)
+    )
+    task = replace(plan.task, name=evil, machine=machine)
+    text = report.page(replace(plan, task=task, motion=replace(plan.motion, method=evil, cost=evil, log=(evil,))))
+    assert "<img" not in without_bundle(text)
+    assert text.count("</script>") == 3
+
+
+def test_data_cannot_end_its_script(plan, monkeypatch):
+    monkeypatch.setattr(charts, "data", lambda plan: {"name": "</script>&"})
+    assert data_of(report.page(plan)) == {"name": "</script>&"}
+
+
+def test_charts_hold_the_judged_values(plan, page):
+    data = data_of(page)
+    judged = plan.evaluation
+    at = np.searchsorted(judged.time, np.array(data["time"]) - 1e-6)
+    assert data["time"][-1] == pytest.approx(judged.time[-1])
+    by_title = {chart["title"]: chart for chart in data["pump"]}
+    np.testing.assert_allclose(by_title["Energy so far"]["plan"], judged.cumulative_ls[at] / 1e3, rtol=1e-4)
+    np.testing.assert_allclose(by_title["Supply pressure"]["other"], plan.baseline.supply_ls[at] / 1e6, rtol=1e-4)
+    velocity = data["cylinders"][1]["charts"]
+    assert [chart["title"] for chart in velocity] == ["Base", "Lift", "Tilt", "Extension"]
+    assert velocity[1]["limits"] == [-0.15, 0.15]
+    assert all(chart["unit"] and chart["axis"] for row in data["cylinders"] for chart in row["charts"])
+
+
+def test_charts_and_animation_stay_small(task):
+    long = made(paced(task, 20.0))
+    data = charts.data(long)
+    assert len(data["time"]) <= charts.PLOT_POINTS + 1
+    assert len(data["frames"]["plan"]["joints"]) == charts.FRAMES
+
+
+def test_limit_table_agrees_with_the_judge(plan):
+    use = plan.evaluation.limit_use
+    np.testing.assert_allclose(report.uses(plan.evaluation).max(axis=1), [use.position, use.velocity, use.acceleration])
+
+
+def test_a_plan_without_baseline_says_so(task):
+    text = report.page(made(task, other=None))
+    assert "the pseudo-inverse cannot follow this path" in text
+    assert set(data_of(text)["frames"]) == {"plan"}
+
+
+def test_an_infeasible_plan_says_so(task):
+    text = report.page(made(paced(task, 0.2)))
+    assert "No feasible motion" in text and "All limits kept" not in text
+    assert "Limit broken: velocity of lift is" in text
+
+
+def test_a_motion_the_crane_cannot_reach_still_makes_a_page(task):
+    with np.errstate(all="ignore"):
+        plan = made(task, plan=0.1)
+    assert not np.isfinite(plan.evaluation.energy_ls)
+    text = report.page(plan)
+    assert "Limit broken: tool off its path" in text and "unknown" in text
+    assert None in data_of(text)["pump"][0]["plan"]
+
+
+def test_a_crane_that_does_not_slew_has_no_top_view():
+    task = files.load_task("loader-triangle-small")
+    judged = evaluate(task, motion.from_velocities(0.1, 0.6, np.zeros(301), "dp", "cp"))
+    text = report.page(planner.Plan(task, "cp", judged.motion, judged, None, 0))
+    assert 'class="stage one"' in text
+    assert all(len(joints) == 4 for joints in data_of(text)["frames"]["plan"]["joints"])

@@ -1,0 +1,196 @@
+"""The run folder: exact contents, all or nothing, and nobody else's files."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from leanboom import files, motion, planner, report, runfolder
+from leanboom.errors import InputError
+from leanboom.judge import evaluate
+
+
+@pytest.fixture(scope="module")
+def plan():
+    task = files.load_task("forwarder-vertical", start=0.6713)
+    judged = evaluate(task, motion.from_velocities(0.1, 0.6713, np.zeros(61), "dp", "ls", solve_s=0.5))
+    return planner.Plan(task, "ls", judged.motion, judged, None, 1 << 20)
+
+
+@pytest.fixture(autouse=True)
+def _small_report(monkeypatch):
+    monkeypatch.setattr(report, "page", lambda plan, grid=None: "<!doctype html>\n")
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_summary_has_the_agreed_keys_and_types(plan):
+    found = runfolder.summary(plan, Path("out"))
+    assert list(found) == [
+        "task", "machine", "pump", "cost", "method", "start_m", "status", "duration_s", "energy_j", "energy_ls_j",
+        "energy_cp_j", "limit_use", "path_error_m", "solve_s", "peak_memory_bytes", "out",
+    ]  # fmt: skip
+    assert list(found["limit_use"]) == ["position", "velocity", "acceleration"]
+    words = {key: value for key, value in found.items() if isinstance(value, str)}
+    assert words == {
+        "task": "forwarder-vertical", "machine": "forwarder", "pump": "ls", "cost": "ls", "method": "dp",
+        "status": "solved", "out": "out",
+    }  # fmt: skip
+    numbers = [value for key, value in found.items() if key not in (*words, "limit_use", "peak_memory_bytes")]
+    assert all(type(value) is float for value in [*numbers, *found["limit_use"].values()])
+    assert type(found["peak_memory_bytes"]) is int
+    assert found["energy_j"] == found["energy_ls_j"] == plan.evaluation.energy_ls
+    assert runfolder.summary(plan)["out"] is None
+
+
+def test_numbers_that_are_not_finite_are_null():
+    assert runfolder._finite(float("nan")) is None
+    assert runfolder._finite(np.float64(2.0)) == 2.0
+
+
+def test_the_folder_holds_five_files(plan, tmp_path):
+    out = runfolder.write(plan, tmp_path / "deep" / "run")
+    assert names(out) == sorted(runfolder.FILES)
+    assert names(out.parent) == ["run"]
+    assert json.loads((out / "summary.json").read_text(encoding="utf-8")) == runfolder.summary(plan, out)
+
+
+def test_task_and_machine_load_as_they_were(plan, tmp_path):
+    out = runfolder.write(plan, tmp_path / "run")
+    assert files.load_task(out / "task.yaml") == plan.task
+    assert files.load_machine(out / "machine.yaml") == plan.task.machine
+
+
+def test_columns_are_exactly_those_agreed(plan):
+    joints = [f"{name}_{unit}" for name in ("base", "lift", "tilt") for unit in ("rad", "rad_s", "rad_s2")]
+    cylinders = [
+        f"{name}_{what}"
+        for name in ("base", "lift", "tilt", "extension")
+        for what in ("cylinder_m", "cylinder_m_s", "cylinder_m_s2", "force_n", "pressure_pa", "flow_m3_s")
+    ]
+    expected = [
+        "time_s", "x_m", "y_m", "z_m", *joints, "extension_m", "extension_m_s", "extension_m_s2", *cylinders,
+        "pump_flow_m3_s", "supply_ls_pa", "supply_cp_pa", "power_ls_w", "power_cp_w", "energy_ls_j", "energy_cp_j",
+    ]  # fmt: skip
+    assert list(runfolder.columns(plan.evaluation)) == expected
+
+
+def test_trajectory_holds_every_sample_of_the_judge(plan, tmp_path):
+    out = runfolder.write(plan, tmp_path / "run")
+    with (out / "trajectory.csv").open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.reader(stream))
+    judged = plan.evaluation
+    assert len(rows) == 1 + judged.time.size
+    values = np.array(rows[1:], dtype=float)
+    table = dict(zip(rows[0], values.T, strict=True))
+    np.testing.assert_allclose(np.diff(table["time_s"]), 0.002, rtol=1e-6)
+    expected = {
+        "z_m": judged.tool[:, 2], "lift_rad_s2": judged.joint_acceleration[:, 1],
+        "extension_m": judged.joint_position[:, 3], "tilt_cylinder_m": judged.length[:, 2],
+        "tilt_cylinder_m_s": judged.velocity[:, 2], "lift_force_n": judged.force[:, 1],
+        "lift_pressure_pa": judged.pressure[:, 1], "tilt_flow_m3_s": judged.flow[:, 2],
+        "supply_ls_pa": judged.supply_ls, "power_cp_w": judged.power_cp, "energy_ls_j": judged.cumulative_ls,
+    }  # fmt: skip
+    for name, column in expected.items():
+        np.testing.assert_allclose(table[name], column, rtol=1e-9, atol=1e-300, err_msg=name)
+
+
+def test_an_earlier_run_folder_is_replaced(plan, tmp_path):
+    out = runfolder.write(plan, tmp_path / "run")
+    (out / "report.html").write_text("old", encoding="utf-8")
+    runfolder.write(plan, out)
+    assert (out / "report.html").read_text(encoding="utf-8") == "<!doctype html>\n"
+    assert names(tmp_path) == ["run"]
+
+
+def test_an_empty_folder_is_used(plan, tmp_path):
+    (tmp_path / "run").mkdir()
+    runfolder.write(plan, tmp_path / "run")
+    assert names(tmp_path / "run") == sorted(runfolder.FILES)
+
+
+def test_a_folder_with_anything_else_is_refused(plan, tmp_path):
+    out = runfolder.write(plan, tmp_path / "run")
+    (out / "notes.txt").write_text("mine", encoding="utf-8")
+    with pytest.raises(InputError, match=r"holds notes\.txt: give a new or empty folder, or an earlier run folder"):
+        runfolder.write(plan, out)
+    assert (out / "notes.txt").read_text(encoding="utf-8") == "mine"
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"task": "x"}', "\x00"])
+def test_a_folder_whose_summary_is_another_is_refused(plan, tmp_path, content):
+    (tmp_path / "summary.json").write_text(content, encoding="utf-8")
+    with pytest.raises(InputError, match="was not written by leanboom"):
+        runfolder.write(plan, tmp_path)
+    assert names(tmp_path) == ["summary.json"]
+
+
+def test_files_links_and_the_current_folder_are_refused(plan, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    with pytest.raises(InputError, match="is a file"):
+        runfolder.write(plan, tmp_path / "file")
+    with pytest.raises(InputError, match="cannot be written"):
+        runfolder.write(plan, tmp_path / "file" / "run")
+    with pytest.raises(InputError, match="is a symbolic link"):
+        runfolder.write(plan, tmp_path / "link")
+    with pytest.raises(InputError, match="cannot be written"):
+        runfolder.write(plan, Path("a\0b"))
+    monkeypatch.chdir(tmp_path / "real")
+    with pytest.raises(InputError, match="is or holds the current folder"):
+        runfolder.write(plan, Path())
+    assert names(tmp_path) == ["file", "link", "real"]
+
+
+@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+@pytest.mark.parametrize("existing", [False, True])
+def test_a_failure_midway_leaves_nothing(plan, tmp_path, monkeypatch, failure, existing):
+    out = tmp_path / "run"
+    if existing:
+        runfolder.write(plan, out)
+        (out / "report.html").write_text("old", encoding="utf-8")
+    write = Path.write_text
+
+    def failing(path, *args, **kwargs):
+        if path.name == "trajectory.csv":
+            raise failure
+        return write(path, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "write_text", failing)
+    with pytest.raises(InputError if isinstance(failure, OSError) else KeyboardInterrupt):
+        runfolder.write(plan, out)
+    assert names(tmp_path) == (["run"] if existing else [])
+    if existing:
+        assert (out / "report.html").read_text(encoding="utf-8") == "old"
+
+
+def test_a_failed_swap_puts_the_earlier_folder_back(plan, tmp_path, monkeypatch):
+    out = runfolder.write(plan, tmp_path / "run")
+    (out / "report.html").write_text("old", encoding="utf-8")
+    rename = Path.rename
+
+    def failing(path, target):
+        if ".new-" in path.name:
+            raise OSError(5, "Input/output error")
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", failing)
+    with pytest.raises(InputError, match="Input/output error"):
+        runfolder.write(plan, out)
+    assert names(tmp_path) == ["run"]
+    assert (out / "report.html").read_text(encoding="utf-8") == "old"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="permissions of POSIX systems")
+def test_the_folder_is_as_readable_as_any_other(plan, tmp_path):
+    (tmp_path / "plain").mkdir()
+    out = runfolder.write(plan, tmp_path / "run")
+    assert out.stat().st_mode == (tmp_path / "plain").stat().st_mode
