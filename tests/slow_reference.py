@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+
 from leanboom import kernels
 
 COSTS = ("ls", "cp", "actuator", "velocity", "extension", "recuperation")  # in the order of their codes
@@ -147,9 +148,16 @@ def corners(small: Small, k: int, row: np.ndarray, w: float, velocities: int) ->
             gain = data[kernels.GAIN_OUT] if out else -data[kernels.GAIN_IN]
             back = data[kernels.BACK_OUT] if out else data[kernels.BACK_IN]
             lines.append((gain * (force[1] - force[0]), gain * force[0] + back))
-        found += [] if small.cost == "actuator" else [
-            (b1 - b0) / (a0 - a1) for n, (a0, b0) in enumerate(lines) for a1, b1 in lines[n + 1 :] if abs(a0 - a1) > 0.0
-        ]
+        found += (
+            []
+            if small.cost == "actuator"
+            else [
+                (b1 - b0) / (a0 - a1)
+                for n, (a0, b0) in enumerate(lines)
+                for a1, b1 in lines[n + 1 :]
+                if abs(a0 - a1) > 0.0
+            ]
+        )
     u = np.array(found)
     return u[(u >= low) & (u <= high)]
 

@@ -394,7 +394,7 @@ def kernel():
             f"        {targets} = f{index}({', '.join(f'x[{k}]' for k in range(count))})",
         ]
     names = {f"f{index}": function for index, function in enumerate(FORMULAS.values())}
-    exec("\n".join(lines), names)  # noqa: S102 - numba needs each call spelt out
+    exec("\n".join(lines), names)  # numba needs each call spelt out
     return njit(names["call"])
 
 

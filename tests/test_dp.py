@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
+
 from leanboom import dp, kernels, motion, pseudo_inverse, stages
 from leanboom.errors import InputError
 from leanboom.files import load_task
 from leanboom.judge import evaluate, judged_cost
 from leanboom.objective import COSTS
 from leanboom.task import Lines, Task
-from scipy.interpolate import CubicSpline
 
 STEP = 0.1  # [s]
 MIDDLE = replace(load_task("forwarder-vertical"), start="middle")
@@ -70,7 +71,7 @@ def test_value_of_the_linear_quadratic_problem_converges_with_order_two():
     for _ in range(count):
         gain = (b @ p @ a) / (b @ p @ b)
         p = q + a.T @ p @ a - np.outer(gain, b @ p @ a)
-    spacings, errors = np.array([0.2, 0.1, 0.05]), []
+    spacings, errors = np.array([0.1, 0.05, 0.025]), []
     for spacing in spacings:
         c, w, values = toy("extension", spacing, terminal=lambda c, w: 3.0 * c**2 + 0.2 * w**2)
         c, w = c[:, None], w[None, :]
@@ -79,11 +80,11 @@ def test_value_of_the_linear_quadratic_problem_converges_with_order_two():
         errors.append(np.abs(values[0] - exact)[near].max())
     order = np.polyfit(np.log(spacings), np.log(errors), 1)[0]
     assert 1.5 < order < 2.5, errors
-    assert errors[-1] < 0.01
+    assert errors[-1] < 0.005
 
 
 def test_least_squared_velocity_has_its_analytic_optimum():
-    """min (a0 + 2 w)^2 + w^2 is a0^2 / 5 at w = -2 a0 / 5; here all optima but one are velocity nodes."""
+    """Min (a0 + 2 w)^2 + w^2 is a0^2 / 5 at w = -2 a0 / 5; here all optima but one are velocity nodes."""
     a0 = np.array([0.5, 0.25, -0.25, 0.5, -0.5, 0.25, 0.0, 0.25, -0.25, 0.5, 0.0])
     _, w, values = toy("velocity", 0.1, a0=a0)
     middle = values.shape[1] // 2
@@ -119,13 +120,13 @@ def random_motions(problem: stages.Problem, first: float, count: int):
     share0 = (first - problem.lower[0]) / width[0]
     t = problem.time / problem.time[-1]
     for _ in range(count):
-        waves = sum(rng.normal() * 0.25 / m * (1.0 - np.cos(m * np.pi * t)) for m in range(1, 5))
+        waves = sum(rng.normal() * 0.15 / m * (1.0 - np.cos(m * np.pi * t)) for m in range(1, 5))
         share = np.clip(share0 + waves, 0.02, 0.98)
         smooth = CubicSpline(problem.time, problem.lower + share * width, bc_type="clamped")
         yield motion.from_velocities(problem.step, first, smooth(problem.time, 1), "random", "none")
 
 
-@pytest.mark.parametrize("name", ["forwarder-vertical", "loader-triangle-small"])
+@pytest.mark.parametrize("name", ["forwarder-vertical", "forwarder-half-cycle"])
 def test_no_random_feasible_motion_is_cheaper(name):
     task = replace(load_task(name), start="middle")
     problem = stages.discretise(task, STEP)
@@ -168,8 +169,7 @@ def test_error_falls_with_the_grid_spacing_at_order_one():
     motions = [planned(MIDDLE, "cp", *grid) for grid in grids]
     polisher, best = polish.build(problem, "cp"), motions[-1]
     for _ in range(4):
-        switches = polish.modes(problem, best.position, best.velocity, best.acceleration)
-        best, text = polish.solve(polisher, best, switches)
+        best, text = polish.solve(polisher, best, polish.modes(polisher, best))
         assert best is not None, text
     reference = judged_cost(evaluate(MIDDLE, best), "cp")
     errors = np.array([judged_cost(evaluate(MIDDLE, found), "cp") for found in motions]) / reference - 1.0
@@ -210,8 +210,9 @@ def test_best_start_has_the_least_value_over_all_starts():
     values = policy.values[0, :, 5]
     assert stage[kernels.W_LO] + 5 * stage[kernels.DW] == pytest.approx(0.0, abs=1e-15)
     assert start == pytest.approx(stage[kernels.C_LO] + stage[kernels.DC] * np.argmin(values))
-    costs = [judged_cost(evaluate(short(), dp.rollout(policy, float(s))), "cp") for s in np.linspace(0.4, 1.6, 7)]
-    assert judged_cost(evaluate(short(), dp.rollout(policy, start)), "cp") <= min(costs) * 1.02
+    others = [evaluate(short(), dp.rollout(policy, float(s))) for s in np.linspace(*policy.problem.intervals[0][0], 9)]
+    least = min(judged_cost(other, "cp") for other in others if other.feasible)
+    assert judged_cost(evaluate(short(), dp.rollout(policy, start)), "cp") <= least * 1.02
 
 
 def test_a_length_outside_the_feasible_extensions_is_refused_with_what_is_allowed():
@@ -269,11 +270,14 @@ def test_a_length_inside_a_gap_is_refused_with_both_intervals():
         dp.start_position(problem, float(0.5 * (low + high)))
 
 
-def test_every_kind_of_start_is_feasible_beside_a_gap():
+@pytest.mark.parametrize("kind", ["smallest", "middle", "best"])
+def test_every_kind_of_start_is_feasible_beside_a_gap(kind):
+    """The middle of all extensions is in the gap here."""
     problem = stages.discretise(gapped(), STEP)
-    policy = dp.solve(problem, stages.full_grid(problem, 101, 21), "cp")
-    for start in (*(dp.start_position(problem, kind) for kind in ("smallest", "middle")), dp.best_start(policy)):
-        assert any(low - 1e-9 <= start <= high + 1e-9 for low, high in problem.intervals[0])
+    start = dp.start_position(problem, kind)
+    if start is None:
+        start = dp.best_start(dp.solve(problem, stages.full_grid(problem, 101, 21), "cp"))
+    assert any(low - 1e-9 <= start <= high + 1e-9 for low, high in problem.intervals[0])
 
 
 # Memory

@@ -10,8 +10,8 @@ import pytest
 from leanboom import crane as cranes
 from leanboom import dp1, stages
 from leanboom.errors import InputError
-from leanboom.evaluate import evaluate
 from leanboom.files import load_task
+from leanboom.judge import evaluate
 from leanboom.objective import COSTS
 
 

@@ -11,8 +11,8 @@ import pytest
 from leanboom import crane as cranes
 from leanboom import dp_paper, stages
 from leanboom.errors import InputError
-from leanboom.evaluate import evaluate
 from leanboom.files import load_task
+from leanboom.judge import evaluate
 
 
 def lattice(cost, stages_=3):

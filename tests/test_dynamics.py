@@ -34,6 +34,8 @@ def crane(name, payload=0.0, gravity=9.81):
 
 TASK = {"forwarder": "horizontal", "loader": "triangle-large"}
 CRANES = {name: crane(name, 475.0 if name == "loader" else 120.0) for name in NAMES}
+COUNTERWEIGHT = Body("counterweight", "base", 300.0, -0.8, 0.5, 20.0)  # off the slewing axis
+CRANES["forwarder"] = replace(CRANES["forwarder"], bodies=(*CRANES["forwarder"].bodies, COUNTERWEIGHT))
 
 
 def state(machine, shares):

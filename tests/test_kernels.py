@@ -8,9 +8,10 @@ from dataclasses import replace
 import numba
 import numpy as np
 import pytest
-import slow_reference as slow
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+import slow_reference as slow
 from leanboom import crane as cranes
 from leanboom import hydraulics, kernels, stages
 from leanboom.files import load_task
@@ -89,7 +90,9 @@ def test_interpolation_is_exact_on_nodes(seed):
     small = problem(seed, "cp")
     values = np.random.default_rng(seed).normal(size=small.terminal.shape)
     for p, j in np.ndindex(values.shape):
-        assert at(small, values, 1, small.position(1, p), small.velocity(1, j)) == pytest.approx(values[p, j], abs=1e-12)
+        assert at(small, values, 1, small.position(1, p), small.velocity(1, j)) == pytest.approx(
+            values[p, j], abs=1e-12
+        )
 
 
 @given(seed=SEED, x=SHARE, y=SHARE)

@@ -9,8 +9,8 @@ from scipy.optimize import linprog, lsq_linear
 from leanboom import crane as cranes
 from leanboom import pseudo_inverse, stages
 from leanboom.errors import InfeasibleError, InputError
-from leanboom.evaluate import evaluate
 from leanboom.files import bundled_tasks, load_task
+from leanboom.judge import evaluate
 from leanboom.task import sample
 
 TASKS = bundled_tasks()

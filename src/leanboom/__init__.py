@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from leanboom.errors import InfeasibleError, InputError, LeanboomError
-    from leanboom.judge import Evaluation, evaluate
     from leanboom.files import bundled_machines, bundled_tasks, load_machine, load_task
+    from leanboom.judge import Evaluation, evaluate
     from leanboom.machine import Machine
     from leanboom.motion import Motion
     from leanboom.planner import Plan, plan, run

@@ -1,28 +1,27 @@
 r"""Pseudospectral collocation of the low-dimensional problem: the local direct method that stands for DIDO.
 
 State (c, w) and control u of the redundant cylinder, eqs. (30)-(35), 4-DOF paper, with the smoothed costs of both
-papers: Heaviside steps by eq. (39) (eq. (29), 3-DOF), maxima by eq. (42) (eq. (36), 3-DOF). The state is one
-polynomial through N Legendre-Gauss-Radau points and the end of the path; dynamics, cost and limits are imposed at
+papers: Heaviside steps by eq. (39) (eq. (29), 3-DOF), maxima by eq. (42) (eq. (36), 3-DOF). Between the corners of
+the path the state is one polynomial through Legendre-Gauss-Radau points; dynamics, cost and limits are imposed at
 the points. As in section 6.1 of the 3-DOF paper the solution on few points is the guess for more of them
-("bootstrapping"); here the smoothing is sharpened along.
+("bootstrapping"); here the smoothing is sharpened along, because from a sharp cost IPOPT does not converge.
 
-A limit kept at the points may be exceeded between them. The judge says where and by how much; there the limits of
+A limit kept at the points may be exceeded between them. The judge says where and by how much; there the limits at
 the neighbouring points are drawn in and the last problem is solved again.
 
 | symbol | name | unit |
 | --- | --- | --- |
 | c, w, u | position, velocity, acceleration of the redundant cylinder | m, m/s, m/s^2 |
 | s | sharpness of the smoothed Heaviside step | s/m |
+| e | constant under the root of the smoothed maximum | MPa^2 |
 | tau | time scaled to [-1, 1] | 1 |
-| D | differentiation matrix: derivative at the points per value at points and end | 1 |
 
-The nonlinear program itself (`NodeFunctions`, `assemble`) is general: a sum over nodes of a weighted cost, rows of
-each node within bounds, linear equations between nodes. `shooting` states its problem in the same form.
+The nonlinear program itself (`node_functions`, `assemble`, `optimise`) is general: a sum over nodes of costs, rows
+of each node within bounds, linear equations between nodes. `shooting` states its problem in the same form.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -30,11 +29,7 @@ from typing import Any
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import hydraulics, motion, stages
-from leanboom.errors import InputError
-from leanboom.judge import Evaluation, evaluate
-from leanboom.motion import Motion
-from leanboom.task import Task, sample
+from leanboom import hydraulics
 
 KILO, MEGA = 1e-3, 1e-6  # power in kW, pressure in MPa
 MAXIMUM = 1e-6  # the small constant under the root of eq. (42) [MPa^2]
@@ -285,43 +280,3 @@ def interpolate(tau: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarr
     return np.where(hit, values[nearest], (kernel @ values) / kernel.sum(axis=1))
 
 
-# The crane's problem on these points.
-
-
-def _node(crane: cranes.Crane, moving: slice, cost: str):
-    """Cost and rows of a node: x = (c, w, u), p = (reference in the plane, weight, sharpness)."""
-    import casadi as ca
-
-    def node(x, p):
-        pose = cranes.pose(crane, cranes.Plane(*[p[i] for i in range(9)]), x[0])
-        state = cranes.move(pose, x[1], x[2])
-        rows = ca.vertcat(*state.velocity[moving][:-1], *state.acceleration[moving][:-1])
-        return p[9] * smooth_power(crane, pose, state, cost, p[10]), rows
-
-    return node
-
-
-def plan(task: Task, cost: str, start: float, progress: Progress | None = None) -> Motion:
-    """Plan a task by pseudospectral collocation.
-
-    Args:
-        task: The task.
-        cost: "ls" or "cp".
-        start: Where the redundant cylinder starts [m].
-        progress: Called with what happens and the share done.
-
-    Returns:
-        The motion of the last level that converged, on stages of `STEP`. Its status is `solved`, or says that the
-        first level did not converge, or which limit the motion violates; its log has a line a level.
-
-    Raises:
-        InputError: If the cost is another one.
-        InfeasibleError: If some point of the path cannot be reached.
-    """
-    if cost not in ("ls", "cp"):
-        raise InputError(f"method pseudospectral minimises ls or cp, not {cost}")
-    began = time.perf_counter()
-    tell = progress or (lambda text, share: None)
-    problem = stages.discretise(task, STEP)
-    functions = node_functions(3, 11, _node(problem.crane, problem.moving, cost))
-    raise NotImplementedError

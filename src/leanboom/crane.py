@@ -148,7 +148,7 @@ def velocity_torques(crane: Crane, q: tuple, v: tuple) -> tuple[Value, Value, Va
     q2, q3, q4 = q
     v1, v2, v3, v4 = v
     geometry = crane.machine.geometry
-    total = [0.0] * 3
+    total: list[Value] = [0.0] * 3
     for body in crane.bodies:
         if body.carrier == "lift":
             total[0] = total[0] + dynamics.lift_body_centrifugal(
@@ -161,7 +161,7 @@ def velocity_torques(crane: Crane, q: tuple, v: tuple) -> tuple[Value, Value, Va
                 geometry.boom, geometry.base_x, v1, v2, v3, v4,
             )  # fmt: skip
             total = [a + b for a, b in zip(total, torques, strict=True)]
-    return tuple(total)
+    return total[0], total[1], total[2]
 
 
 def slewing(crane: Crane, q: tuple, v: tuple) -> tuple[Value, Value]:
@@ -172,7 +172,7 @@ def slewing(crane: Crane, q: tuple, v: tuple) -> tuple[Value, Value]:
     inertia = rate = 0.0
     for body in crane.bodies:
         if body.carrier == "base":
-            inertia = inertia + body.inertia
+            inertia = inertia + dynamics.slewing_inertia(body.along, body.mass, body.inertia, 0.0)
             continue
         if body.carrier == "lift":
             angle, angle_rate = q2, v2

@@ -109,9 +109,14 @@ def _cell(nodes: np.ndarray, value):
 
 
 def running_cost(model: Model, k: int, c: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """P_h + l of lines 6-10 at stage k, at normalised states and controls that broadcast."""
+    """P_h + l of lines 6-10 at stage k, at normalised states and controls that broadcast.
+
+    To the letter: lines 6 to 8 stand inside the loops over states and controls, so everything is evaluated at
+    every combination, as the general Matlab code the paper used does with its full state x control arrays.
+    """
     c_max, v_max, a_max = model.scale
     crane = model.problem.crane
+    c, v, a = (np.ascontiguousarray(x) for x in np.broadcast_arrays(c, v, a))
     stroke = c_max * c
     with np.errstate(all="ignore"):  # poses out of reach give no numbers, and are penalised
         pose = cranes.pose(crane, model.problem.plane[k], stroke)

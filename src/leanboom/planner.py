@@ -133,7 +133,7 @@ def run(
     best = solver.by(method)
     seconds = time.perf_counter() - began
     status = best.status if best.feasible else solver.explain(best)
-    done = replace(best.motion, method=method, solve_s=seconds, log=tuple(solver.log), status=status)
+    done = replace(best.motion, method=method, cost=cost, solve_s=seconds, log=tuple(solver.log), status=status)
     best = replace(best, motion=done)
     if not best.feasible:
         best = replace(best, violations=(status, *best.violations[1:]))

@@ -127,7 +127,7 @@ def _state(problem: Problem, x, u, theta):
 
 
 def _node_rows(ca, problem: Problem, layout: Layout, x, state):
-    """v = its kinematics (equality) and s >= A v, s >= -B v, per node."""
+    """V = its kinematics (equality) and s >= A v, s >= -B v, per node."""
     velocity = state[1].velocity[problem.moving]
     rows = [x[column] - velocity[i] for i, column in enumerate(layout.speeds[:-1])]
     if layout.flows:

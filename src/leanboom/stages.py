@@ -60,8 +60,7 @@ class Tables:
 
 def stroke_range(task: Task) -> tuple[float, float]:
     """Smallest and largest stroke of the redundant cylinder [m], from its joint's range."""
-    joint = task.machine.joints[-1]
-    ratio = task.machine.redundant.linkage.ratio
+    joint, ratio = task.machine.joints[-1], cranes.build(task).ratio
     return joint.lower * ratio, joint.upper * ratio
 
 
@@ -85,9 +84,7 @@ def position_margin(task: Task, crane: cranes.Crane, plane: cranes.Plane, stroke
     """How far a pose is inside the reach and the joint ranges: >= 0 exactly where all are kept."""
     g = task.machine.geometry
     q4 = stroke / crane.ratio
-    reach = 1.0 - np.abs(
-        kinematics.elbow_cosine(plane.r, plane.z, q4, g.base_x, g.base_z, g.boom, g.offset, g.outer)
-    )
+    reach = 1.0 - np.abs(kinematics.elbow_cosine(plane.r, plane.z, q4, g.base_x, g.base_z, g.boom, g.offset, g.outer))
     q2, q3 = kinematics.lift_and_tilt(plane.r, plane.z, q4, g.base_x, g.base_z, g.boom, g.offset, g.outer)
     margin = reach
     for q, joint in zip((q2, q3, q4), task.machine.joints[-3:], strict=True):
@@ -131,9 +128,7 @@ def _why_unreachable(task, crane, plane, k, time, grid) -> str:
     g = task.machine.geometry
     here = plane[k]
     where = f"at {time:.3f} s (stage {k}), tool radius {here.r:.3f} m, height {here.z:.3f} m"
-    cosine = kinematics.elbow_cosine(
-        here.r, here.z, grid / crane.ratio, g.base_x, g.base_z, g.boom, g.offset, g.outer
-    )
+    cosine = kinematics.elbow_cosine(here.r, here.z, grid / crane.ratio, g.base_x, g.base_z, g.boom, g.offset, g.outer)
     if np.all(cosine < -1.0):
         return f"the path leaves the crane's reach {where}: too far by {_reach_gap(task, here):.3f} m"
     if np.all(np.abs(cosine) > 1.0):
@@ -176,7 +171,9 @@ def full_grid(problem: Problem, positions: int, velocities: int) -> Grid:
     return Grid(problem.lower, problem.upper, -limit * ones, limit * ones, positions, velocities | 1)
 
 
-def tube_grid(problem: Problem, position, velocity, width: float, spread: float, positions: int, velocities: int) -> Grid:
+def tube_grid(
+    problem: Problem, position, velocity, width: float, spread: float, positions: int, velocities: int
+) -> Grid:
     """Nodes within `width` [m] and `spread` [m/s] of a motion, (stages + 1,), inside the feasible extensions.
 
     The motion's own velocity is a node at every stage.

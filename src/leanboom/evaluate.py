@@ -1,3 +1,0 @@
-"""Moved to judge."""
-
-from leanboom.judge import *  # noqa: F403

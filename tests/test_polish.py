@@ -1,0 +1,240 @@
+"""The polish: exact derivatives, modes read off motions, answers that keep the dynamics and the judge agrees with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from leanboom import dp, motion, polish, pseudo_inverse, stages
+from leanboom.files import load_task
+from leanboom.judge import evaluate, judged_cost
+from leanboom.objective import COSTS
+from leanboom.task import Lines, Task
+
+TASKS = {
+    "vertical": replace(load_task("forwarder-vertical"), start="middle"),
+    "slewing": replace(load_task("forwarder-half-cycle"), start="middle"),
+    "loader": replace(
+        load_task("loader-triangle-small"), start="middle", path=Lines(((2.6, 0.0, 0.5), (3.2, 0.0, 1.1667)), (6.0,))
+    ),
+}
+
+
+class Spy:
+    """A solver that keeps what it was asked and what it answered, and may pretend to have failed."""
+
+    def __init__(self, solver, success=True):
+        self.solver, self.success, self.asked, self.answer = solver, success, {}, {}
+
+    def __call__(self, **asked):
+        self.asked, self.answer = asked, self.solver(**asked)
+        return self.answer
+
+    def stats(self):
+        return {**self.solver.stats(), **({} if self.success else {"success": False, "return_status": "Gave_Up"})}
+
+
+@cache
+def built(name: str, cost: str, step: float) -> polish.Polisher:
+    return polish.build(stages.discretise(TASKS[name], step), cost)
+
+
+@cache
+def seed(name: str, cost: str, step: float) -> motion.Motion:
+    """A coarse dynamic program's motion."""
+    problem = built(name, cost, step).problem
+    policy = dp.solve(problem, stages.full_grid(problem, 51, 25), cost)
+    return dp.rollout(policy, dp.start_position(problem, "middle"))
+
+
+def on_stages(problem: stages.Problem, fine: motion.Motion) -> motion.Motion:
+    velocity = fine.at(problem.time)[1].copy()
+    velocity[-1] = 0.0
+    return motion.from_velocities(problem.step, float(fine.position[0]), velocity, fine.method, fine.cost)
+
+
+def polished(polisher: polish.Polisher, start: motion.Motion, rounds=1, free=False) -> motion.Motion:
+    for _ in range(rounds):
+        answer, text = polish.solve(polisher, start, polish.modes(polisher, start), free)
+        assert answer is not None, text
+        start = answer
+    return start
+
+
+# Derivatives
+
+
+def asked(name: str, cost: str):
+    """Solver, and a point near a seed inside all bounds, with the parameters and multipliers to use there."""
+    polisher = built(name, cost, 1.0)
+    spy = Spy(polisher.solver)
+    start = seed(name, cost, 1.0)
+    polish.solve(replace(polisher, solver=spy), start, polish.modes(polisher, start))
+    rng = np.random.default_rng(20170506)
+    x0 = spy.asked["x0"]
+    scale = np.tile(np.maximum(0.05 * np.ptp(x0.reshape(-1, polisher.layout.size), axis=0), 1e-3), len(x0) // polisher.layout.size)
+    x = x0 + scale * rng.normal(size=x0.size)
+    x = np.where(np.arange(x.size) % polisher.layout.size == 0, x0, x)  # positions stay where they are feasible
+    return polisher.solver, x, spy.asked["p"], rng.normal(size=spy.asked["lbg"].size)
+
+
+def differences(function, x, h=1e-6):
+    """Central differences by every variable, (values, variables)."""
+    columns = []
+    for i in range(x.size):
+        ahead, behind = x.copy(), x.copy()
+        ahead[i] += h
+        behind[i] -= h
+        columns.append((function(ahead) - function(behind)) / (2.0 * h))
+    return np.stack(columns, axis=-1)
+
+
+def close(found, wanted):
+    """Equal to the accuracy of central differences, each row relative to its largest entry."""
+    scale = np.maximum(np.abs(wanted).max(axis=-1, keepdims=True), np.abs(found).max(axis=-1, keepdims=True)) + 1.0
+    np.testing.assert_allclose(found / scale, wanted / scale, atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "cost"), [*(("vertical", cost) for cost in COSTS), ("slewing", "ls"), ("loader", "ls"), ("loader", "cp")]
+)
+def test_assembled_derivatives_equal_finite_differences(name, cost):
+    """Gradient, Jacobian and Hessian are scattered from one stage function; every entry is looked at."""
+    solver, x, p, multipliers = asked(name, cost)
+    value, rows = solver.get_function("nlp_f"), solver.get_function("nlp_g")
+    gradient, jacobian = solver.get_function("nlp_grad_f"), solver.get_function("nlp_jac_g")
+    close(np.array(gradient(x, p)[1]).ravel(), differences(lambda y: float(value(y, p)), x))
+    close(jacobian(x, p)[1].full(), differences(lambda y: np.array(rows(y, p)).ravel(), x))
+
+    def slope(y):
+        return 0.7 * np.array(gradient(y, p)[1]).ravel() + jacobian(y, p)[1].full().T @ multipliers
+
+    upper = solver.get_function("nlp_hess_l")(x, p, 0.7, multipliers).full()
+    assert np.array_equal(upper, np.triu(upper))
+    close(upper + np.triu(upper, 1).T, differences(slope, x))
+
+
+# Modes
+
+
+def test_modes_of_a_motion_made_by_hand():
+    """The extension goes out, rests, goes back; its direction is known, the other cylinders' is the judge's."""
+    polisher = built("vertical", "ls", 0.1)
+    problem = polisher.problem
+    velocity = np.zeros(problem.stages + 1)
+    velocity[3:20], velocity[30:50] = 0.05, -0.04
+    made = motion.from_velocities(problem.step, 0.75, velocity, "hand", "none")
+    found = polish.modes(polisher, made)
+    np.testing.assert_array_equal(found.sign[:, -1], np.sign(velocity))
+    judged = evaluate(problem.task, made)
+    at = np.rint(problem.time / (judged.time[1] - judged.time[0])).astype(int)
+    moving = slice(1, None)
+    speed, force = judged.velocity[at][:, moving], judged.force[at][:, moving]
+    epsilon = problem.crane.machine.driven_velocity
+    sign = np.where(np.abs(speed) > epsilon, np.sign(speed), 0.0)
+    np.testing.assert_array_equal(found.sign, sign)
+    np.testing.assert_array_equal(found.loaded[0], (force * sign > 0.0)[:-1])
+    assert found.loaded.any() and not found.loaded.all()
+    # The end of an interval is the beginning of the next with this interval's acceleration: equal where it goes on.
+    steady = np.nonzero(np.diff(made.acceleration) == 0.0)[0]
+    np.testing.assert_array_equal(found.loaded[1, steady], found.loaded[0, steady + 1])
+
+
+def test_nothing_moves_and_nothing_is_loaded_on_a_path_that_rests():
+    task = replace(TASKS["vertical"], path=Lines(((5.5, 0.0, 2.5), (5.5, 0.0, 2.5)), (1.0,)))
+    polisher = polish.build(stages.discretise(task, 0.2), "ls")
+    found = polish.modes(polisher, motion.from_velocities(0.2, 0.7, np.zeros(6), "hand", "none"))
+    assert not found.sign.any() and not found.loaded.any()
+
+
+def test_same_modes_need_every_switch_to_agree():
+    found = polish.modes(built("vertical", "ls", 0.1), seed("vertical", "ls", 0.1))
+    other = polish.Modes(found.sign.copy(), found.loaded.copy())
+    assert found.same_as(other)
+    other.sign[7, 1] += 1
+    assert not found.same_as(other) and not other.same_as(found)
+    other = polish.Modes(found.sign.copy(), found.loaded.copy())
+    other.loaded[1, 3, 0] ^= True
+    assert not found.same_as(other)
+
+
+# Answers
+
+
+@pytest.mark.parametrize(("name", "cost"), [("vertical", "ls"), ("vertical", "cp"), ("slewing", "ls"), ("loader", "cp")])
+def test_answer_keeps_dynamics_limits_and_ends_and_costs_what_the_solver_says(name, cost):
+    """The judge's 2 ms and the trapezoid between stages differ by the energy at switches inside an interval: 2 %."""
+    polisher = built(name, cost, 0.1)
+    problem, start = polisher.problem, seed(name, cost, 0.1)
+    spy = Spy(polisher.solver)
+    answer, text = polish.solve(replace(polisher, solver=spy), start, polish.modes(polisher, start))
+    assert answer is not None, text
+    assert text.startswith("Solve_Succeeded in ")
+    ts = problem.step
+    c, w, u = answer.position, answer.velocity, answer.acceleration
+    np.testing.assert_allclose(c[1:], c[:-1] + ts * w[:-1] + 0.5 * ts**2 * u, atol=1e-13)
+    np.testing.assert_allclose(w[1:], w[:-1] + ts * u, atol=1e-13)
+    assert c[0] == pytest.approx(start.position[0], abs=1e-12)
+    assert w[0] == 0.0 and w[-1] == 0.0
+    judged = evaluate(problem.task, answer)
+    assert judged.feasible, judged.status
+    assert judged_cost(judged, cost) == pytest.approx(1e3 * float(spy.answer["f"]), rel=0.02)
+    assert judged_cost(judged, cost) < judged_cost(evaluate(problem.task, start), cost)
+    assert (answer.method, answer.cost) == (start.method, cost)
+
+
+def test_an_answer_that_did_not_converge_is_never_returned():
+    polisher = built("vertical", "cp", 0.1)
+    start = seed("vertical", "cp", 0.1)
+    failing = replace(polisher, solver=Spy(polisher.solver, success=False))
+    answer, text = polish.solve(failing, start, polish.modes(polisher, start))
+    assert answer is None
+    assert text.startswith("Gave_Up in ")
+
+
+def test_modes_that_contradict_the_path_have_no_answer():
+    """All cylinders held while the tool has to move by three metres."""
+    polisher = built("vertical", "ls", 1.0)
+    start = seed("vertical", "ls", 1.0)
+    still = motion.from_velocities(1.0, float(start.position[0]), np.zeros_like(start.velocity), "hand", "none")
+    found = polish.modes(polisher, start)
+    # Both boom cylinders against the way the path drives them.
+    answer, text = polish.solve(polisher, still, polish.Modes(-np.abs(found.sign), found.loaded))
+    assert answer is None
+    assert "in" in text and "Solve_Succeeded" not in text
+
+
+def test_constant_pressure_has_the_same_optimum_from_very_different_seeds():
+    polisher = built("vertical", "cp", 0.1)
+    problem, task = polisher.problem, TASKS["vertical"]
+    first = float(seed("vertical", "cp", 0.1).position[0])
+    seeds = [
+        seed("vertical", "cp", 0.1),
+        on_stages(problem, pseudo_inverse.resolve(task, first, "actuator")),
+        motion.from_velocities(problem.step, first, np.zeros(problem.stages + 1), "rest", "none"),
+    ]
+    energies = [evaluate(task, polished(polisher, start, rounds=2)).energy_cp for start in seeds]
+    assert max(energies) / min(energies) - 1.0 < 1e-3, energies
+
+
+def test_a_free_start_is_feasible_and_not_dearer_than_a_fixed_one():
+    polisher, start = built("vertical", "cp", 0.1), seed("vertical", "cp", 0.1)
+    problem = polisher.problem
+    fixed, free = polished(polisher, start), polished(polisher, start, free=True)
+    low, high = problem.intervals[0][0]
+    assert low - 1e-9 <= free.position[0] <= high + 1e-9
+    assert free.position[0] != pytest.approx(fixed.position[0], abs=1e-3)
+    task: Task = problem.task
+    assert evaluate(task, free).energy_cp <= evaluate(task, fixed).energy_cp * 1.001
+
+
+def test_polishing_twice_changes_nothing():
+    """With unchanged modes the answer is the optimum already."""
+    polisher = built("vertical", "cp", 0.1)
+    once = polished(polisher, seed("vertical", "cp", 0.1))
+    twice = polished(polisher, once)
+    assert evaluate(polisher.problem.task, twice).energy_cp == pytest.approx(
+        evaluate(polisher.problem.task, once).energy_cp, rel=1e-4
+    )
