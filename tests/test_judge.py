@@ -288,6 +288,14 @@ def test_a_motion_out_of_reach_leaves_the_path():
     assert judged.status == "tool off its path by 1.0000 m at 10.000 s (stage 199)"
 
 
+def test_a_motion_out_of_reach_is_judged_without_nan():
+    """Retracted, the forwarder cannot follow its horizontal path to the end: a finding, not a warning."""
+    judged = evaluate(TASKS["forwarder-horizontal"], rest(TASKS["forwarder-horizontal"], 0.0))
+    assert judged.status.startswith("tool off its path by ")
+    assert not np.isnan([judged.energy_ls, judged.energy_cp]).any()
+    assert "nan" not in " ".join(judged.violations)
+
+
 def test_notes_say_what_the_pump_cannot_do():
     """They are no violations: the planning problem has no such limits."""
     task, motion, _ = along_the_boom(1.5, -0.9)

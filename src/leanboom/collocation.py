@@ -12,229 +12,61 @@ the neighbouring points are drawn in and the last problem is solved again.
 | symbol | name | unit |
 | --- | --- | --- |
 | c, w, u | position, velocity, acceleration of the redundant cylinder | m, m/s, m/s^2 |
-| s | sharpness of the smoothed Heaviside step | s/m |
-| e | constant under the root of the smoothed maximum | MPa^2 |
 | tau | time scaled to [-1, 1] | 1 |
-
-The nonlinear program itself (`node_functions`, `assemble`, `optimise`) is general: a sum over nodes of costs, rows
-of each node within bounds, linear equations between nodes. `shooting` states its problem in the same form.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import hydraulics
+from leanboom import direct, motion, stages
+from leanboom.direct import Progress
+from leanboom.errors import InputError
+from leanboom.judge import Evaluation, evaluate
+from leanboom.motion import Motion
+from leanboom.task import Lines, Task, sample
 
-KILO, MEGA = 1e-3, 1e-6  # power in kW, pressure in MPa
-MAXIMUM = 1e-6  # the small constant under the root of eq. (42) [MPa^2]
+METHOD = "pseudospectral"
 STEP = 0.01  # [s], stages of the resulting motion
 REPAIRS = 4  # solves with limits drawn in where they are exceeded between the nodes
+CALMED = 3.0  # and with the damping raised by this factor, because a swing between nodes touches no limit at them
 DRAWN = 1.2  # limits are drawn in by this share of what they are exceeded by
-KEPT = 1.0005  # a limit used up to this needs no repair; half of what the judge tolerates
-CP_LEVELS = ((20, 500.0), (30, 1000.0), (60, 5000.0), (90, 20000.0))  # nodes, sharpness [s/m]; nodes of section 6.1
-LS_LEVELS = ((20, 100.0), (30, 200.0), (60, 500.0), (90, 1000.0), (120, 2000.0))
-IPOPT = {
-    "print_level": 0,
-    "sb": "yes",
-    "max_iter": 300,
-    "tol": 1e-6,
-    "acceptable_tol": 1e-4,
-    "acceptable_iter": 10,
-    "mu_strategy": "adaptive",
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """One solve of a bootstrapped sequence: how finely, how sharply."""
+
+    nodes: int
+    sharpness: float  # s of eq. (39) [s/m]; [1/kW] where the step is over a cylinder's power
+    maximum: float  # e of eq. (42) [MPa^2]
+    damping: float  # weight of the squared control [kW s^4/m^2]: 1 m/s^2 costs as much as that power
+
+
+# Nodes of section 6.1, 3-DOF paper, "a higher number" for LS. The damping ends below 0.02 % of the energy; without it
+# the control swings between the nodes wherever the cost does not depend on it. The papers' s = 20000 s/m and
+# e = 1e-6 are where IPOPT stops converging.
+LEVELS = {
+    "cp": (
+        Level(20, 500.0, 1.0, 1.0),
+        Level(30, 1000.0, 1.0, 0.1),
+        Level(60, 2000.0, 1.0, 0.01),
+        Level(90, 5000.0, 1.0, 0.01),
+    ),
+    "ls": (
+        Level(20, 500.0, 1.0, 1.0),
+        Level(30, 500.0, 1.0, 0.3),
+        Level(60, 500.0, 1.0, 0.1),
+        Level(90, 1000.0, 0.1, 0.03),
+        Level(120, 2000.0, 0.01, 0.01),
+    ),
 }
-
-Progress = Callable[[str, float], None]
-
-
-# Smoothed costs, on CasADi symbols or numbers.
-
-
-def smooth_heaviside(x: Any, sharpness: Any) -> Any:
-    """Differentiable Heaviside step 1 / (1 + exp(-2 s x)), eq. (39); eq. (29), 3-DOF. As a tanh it cannot overflow."""
-    return 0.5 * (1.0 + np.tanh(sharpness * x))
-
-
-def smooth_maximum(a: Any, b: Any) -> Any:
-    """Differentiable maximum, eq. (42); eq. (36), 3-DOF [MPa]."""
-    return 0.5 * (a + b + np.sqrt((a - b) * (a - b) + MAXIMUM))
-
-
-def smooth_power(crane: cranes.Crane, pose: cranes.Pose, moving: cranes.Moving, cost: str, sharpness: Any) -> Any:
-    """Smoothed power of the pump [kW]: eqs. (36)-(43); eqs. (27)-(36), 3-DOF.
-
-    Args:
-        crane: The crane.
-        pose: Its pose.
-        moving: Its motion.
-        cost: "ls" or "cp".
-        sharpness: s of the smoothed Heaviside step [s/m]; per kW where the step is over a cylinder's power.
-
-    Returns:
-        The power [kW].
-    """
-    pump, epsilon = crane.machine.pump, crane.machine.driven_velocity
-    flow, supply = 0.0, None
-    for v, force, d in zip(moving.velocity, cranes.forces(pose, moving), crane.drives, strict=True):
-        out, back = smooth_heaviside(v, sharpness), smooth_heaviside(-v, sharpness)
-        flow = flow + v * (d.area_out * out - d.area_in * back)  # eq. (37)
-        pressure = (d.gain_out * force + d.back_out) * smooth_heaviside(v - epsilon, sharpness)
-        pressure = pressure + (d.back_in - d.gain_in * force) * smooth_heaviside(-v - epsilon, sharpness)
-        pressure = MEGA * pressure * smooth_heaviside(KILO * force * v, sharpness)  # eq. (41)
-        supply = pressure if supply is None else smooth_maximum(supply, pressure)
-    supply = pump.constant_pressure * MEGA if cost == "cp" else supply + pump.ls_margin * MEGA  # eq. (40)
-    return hydraulics.pump_power(supply, flow * KILO / MEGA, pump.efficiency)
-
-
-# The nonlinear program.
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class NodeFunctions:
-    """Cost and rows of one node with their exact derivatives, as CasADi functions."""
-
-    size: int  # variables of a node
-    rows: int
-    parameters: int
-    value: Any  # (x, p) -> cost, rows
-    gradient: Any  # (x, p) -> gradient of the cost
-    jacobian: Any  # (x, p) -> non-zeros of the rows' Jacobian
-    hessian: Any  # (x, p, sigma, lam) -> upper non-zeros of the Lagrangian's Hessian
-    jacobian_places: tuple[np.ndarray, np.ndarray]
-    hessian_places: tuple[np.ndarray, np.ndarray]
-
-
-def node_functions(size: int, parameters: int, node: Callable[[Any, Any], tuple[Any, Any]]) -> NodeFunctions:
-    """Differentiate a node once, for any number of nodes.
-
-    Args:
-        size: Variables of a node.
-        parameters: Parameters of a node.
-        node: Cost and rows (a column) of symbols for variables and parameters.
-    """
-    import casadi as ca
-
-    ca.GlobalOptions.setNumpyMode(1)
-    x, p = ca.SX.sym("x", size), ca.SX.sym("p", parameters)
-    cost, rows = node(x, p)
-    sigma, lam = ca.SX.sym("sigma"), ca.SX.sym("lam", rows.numel())
-    jacobian = ca.jacobian(rows, x)
-    hessian = ca.triu(ca.hessian(sigma * cost + ca.dot(lam, rows), x)[0])
-
-    def function(name, inputs, outputs):
-        return ca.Function(name, inputs, [ca.cse(ca.densify(output)) for output in outputs])
-
-    def nonzeros(matrix):
-        return ca.vertcat(*[matrix.nz[i] for i in range(matrix.nnz())], ca.SX(0, 1))
-
-    return NodeFunctions(
-        size,
-        rows.numel(),
-        parameters,
-        function("value", [x, p], [cost, rows]),
-        function("gradient", [x, p], [ca.gradient(cost, x)]),
-        function("jacobian", [x, p], [nonzeros(jacobian)]),
-        function("hessian", [x, p, sigma, lam], [nonzeros(hessian)]),
-        tuple(np.array(places, dtype=np.int64) for places in jacobian.sparsity().get_triplet()),
-        tuple(np.array(places, dtype=np.int64) for places in hessian.sparsity().get_triplet()),
-    )
-
-
-def assemble(functions: NodeFunctions, nodes: int, linear: tuple, options: dict | None = None) -> Any:
-    """An IPOPT solver of: least sum of node costs, rows within bounds, linear equations between nodes.
-
-    Its constraints are the linear equations, then the rows of all nodes; variables, rows and parameters node by
-    node. The derivatives of one node are mapped over the nodes and put in their places, which takes milliseconds,
-    where differentiating the whole program takes seconds.
-
-    Args:
-        functions: The node.
-        nodes: How many of them.
-        linear: Linear equations as (count, row, column, value); the last three are arrays, (entries,).
-        options: IPOPT options that differ from `IPOPT`.
-    """
-    import casadi as ca
-
-    size, rows, total = functions.size, functions.rows, functions.size * nodes
-    x, p = ca.MX.sym("x", total), ca.MX.sym("p", functions.parameters * nodes)
-    per_x, per_p = ca.reshape(x, size, nodes), ca.reshape(p, functions.parameters, nodes)
-    count, row, column, value = linear
-    matrix = ca.DM.triplet(row.tolist(), column.tolist(), ca.DM(value), count, total)
-    costs, values = functions.value.map(nodes)(per_x, per_p)
-    f, g = ca.sum2(costs), ca.vertcat(ca.mtimes(matrix, x), ca.vec(values))
-
-    node = np.arange(nodes)[:, None]
-    r, c = functions.jacobian_places
-    jacobian = _place(
-        ca,
-        ca.vertcat(ca.MX(ca.DM(value)), ca.vec(functions.jacobian.map(nodes)(per_x, per_p))),
-        np.concatenate([row, (count + rows * node + r).ravel()]),
-        np.concatenate([column, (size * node + c).ravel()]),
-        (count + rows * nodes, total),
-    )
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", count + rows * nodes)
-    r, c = functions.hessian_places
-    lam = ca.reshape(lam_g[count:], rows, nodes)
-    hessian = _place(
-        ca,
-        ca.vec(functions.hessian.map(nodes)(per_x, per_p, ca.repmat(lam_f, 1, nodes), lam)),
-        (size * node + r).ravel(),
-        (size * node + c).ravel(),
-        (total, total),
-    )
-    gradient = ca.vec(functions.gradient.map(nodes)(per_x, per_p))
-    settings = {
-        "grad_f": ca.Function("nlp_grad_f", [x, p], [f, gradient], ["x", "p"], ["f", "grad_f_x"]),
-        "jac_g": ca.Function("nlp_jac_g", [x, p], [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),
-        "hess_lag": ca.Function(
-            "nlp_hess_l", [x, p, lam_f, lam_g], [hessian], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
-        ),
-        "ipopt": {**IPOPT, **(options or {})},
-        "print_time": False,
-        "error_on_fail": False,
-    }
-    return ca.nlpsol("direct", "ipopt", {"x": x, "p": p, "f": f, "g": g}, settings)
-
-
-def _place(ca, nonzeros, row, column, shape):
-    """Sparse matrix of given non-zeros, each in its own place."""
-    sparsity = ca.Sparsity.triplet(*shape, row.tolist(), column.tolist())
-    return ca.MX(sparsity, nonzeros.nz[np.lexsort((row, column)).tolist()])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Answer:
-    """What IPOPT made of a program."""
-
-    values: np.ndarray  # (nodes, variables)
-    converged: bool
-    text: str  # IPOPT's status, iterations and objective
-
-
-def optimise(solver: Any, guess: np.ndarray, parameters: np.ndarray, bounds: tuple, row_bounds: tuple) -> Answer:
-    """Solve an assembled program.
-
-    Args:
-        solver: From `assemble`.
-        guess: First guess, (nodes, variables).
-        parameters: (nodes, parameters).
-        bounds: Lower and upper bounds of the variables, (nodes, variables) each.
-        row_bounds: Lower and upper bounds of the rows, (nodes, rows) each.
-    """
-    equations = np.zeros(solver.size1_in("lbg") - row_bounds[0].size)
-    answer = solver(
-        x0=np.clip(guess, *bounds).ravel(), p=parameters.ravel(), lbx=bounds[0].ravel(), ubx=bounds[1].ravel(),
-        lbg=np.concatenate([equations, row_bounds[0].ravel()]),
-        ubg=np.concatenate([equations, row_bounds[1].ravel()]),
-    )  # fmt: skip
-    stats = solver.stats()
-    text = f"{stats['return_status']} after {stats['iter_count']} iterations at {float(answer['f']):.4f} kJ"
-    return Answer(np.array(answer["x"]).reshape(guess.shape), bool(stats["success"]), text)
 
 
 # Legendre-Gauss-Radau points.
@@ -270,6 +102,69 @@ def barycentric(tau: np.ndarray) -> np.ndarray:
     return 1.0 / difference.prod(axis=1)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """Points in time, one polynomial between neighbouring edges; neighbours share the point at their edge."""
+
+    edges: np.ndarray  # [s], (polynomials + 1,)
+    counts: tuple[int, ...]  # points of each polynomial, its end left out
+    time: np.ndarray  # points and the end of the path [s], (nodes,)
+    weight: np.ndarray  # of the points in an integral, 0 at the end [s], (nodes,)
+    derivative: tuple[np.ndarray, np.ndarray, np.ndarray]  # row, column, value [1/s] of the differentiation matrix
+
+    def at(self, values: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """The polynomials through values at the nodes, (nodes,), at given times [s], (times,)."""
+        result, first = np.empty_like(time), 0
+        for begin, end, count in zip(self.edges[:-1], self.edges[1:], self.counts, strict=True):
+            inside = (time >= begin) & (time <= end)
+            at = 2.0 * (time[inside] - begin) / (end - begin) - 1.0
+            result[inside] = interpolate(radau(count)[0], values[first : first + count + 1], at)
+            first += count
+        return result
+
+
+def mesh(edges: np.ndarray, nodes: int) -> Mesh:
+    """About `nodes` points, shared out among the polynomials by their duration.
+
+    Args:
+        edges: Where polynomials begin and end [s], (polynomials + 1,).
+        nodes: Number of points.
+    """
+    counts = np.maximum(3, np.round(nodes * np.diff(edges) / (edges[-1] - edges[0]))).astype(int)
+    times, weights, rows, columns, values, first = [], [], [], [], [], 0
+    for begin, end, count in zip(edges[:-1], edges[1:], counts, strict=True):
+        tau, weight, matrix = radau(int(count))
+        half = 0.5 * (end - begin)
+        row, column = np.nonzero(matrix)
+        times.append(begin + half * (tau[:-1] + 1.0))
+        weights.append(half * weight)
+        rows.append(first + row)
+        columns.append(first + column)
+        values.append(matrix[row, column] / half)
+        first += count
+    return Mesh(
+        edges,
+        tuple(int(count) for count in counts),
+        np.append(np.concatenate(times), edges[-1]),
+        np.append(np.concatenate(weights), 0.0),
+        (np.concatenate(rows), np.concatenate(columns), np.concatenate(values)),
+    )
+
+
+def double_integrator(points: Mesh, size: int) -> tuple:
+    """Linear equations c' = w, w' = u at the points of a mesh, for `assemble`; c, w, u lead each node's variables."""
+    row, column, value = points.derivative
+    count = points.time.size - 1
+    node = np.arange(count)
+    ones = np.ones(count)
+    return (
+        2 * count,
+        np.concatenate([row, node, count + row, count + node]),
+        np.concatenate([size * column, size * node + 1, size * column + 1, size * node + 2]),
+        np.concatenate([value, -ones, value, -ones]),
+    )
+
+
 def interpolate(tau: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """The polynomial through values at nodes, (nodes,), at given places, (places,)."""
     difference = at[:, None] - tau
@@ -280,3 +175,160 @@ def interpolate(tau: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarr
     return np.where(hit, values[nearest], (kernel @ values) / kernel.sum(axis=1))
 
 
+# The crane's problem on these points.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Work:
+    """A task made ready for collocation."""
+
+    task: Task
+    cost: str
+    start: float
+    problem: stages.Problem  # on the stages of the resulting motion
+    functions: direct.NodeFunctions
+    edges: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solved:
+    """A level's motion, judged, and how IPOPT ended."""
+
+    judged: Evaluation
+    points: Mesh
+    converged: bool
+    text: str
+
+
+def plan(task: Task, cost: str, start: float, progress: Progress | None = None) -> Motion:
+    """Plan a task by bootstrapped pseudospectral collocation, from a held extension as the first guess.
+
+    Args:
+        task: The task.
+        cost: "ls" or "cp".
+        start: Where the redundant cylinder starts [m].
+        progress: Called with what happens and the share done.
+
+    Returns:
+        The motion on stages of `STEP`: of the levels that converged, the cheapest by the judge that keeps all limits.
+        Its status is `solved`; or the limit that even the best of them violates; or, if no level converged, how IPOPT
+        ended, and then the motion is no result. Its log has a line a solve.
+
+    Raises:
+        InputError: If the cost is another one.
+        InfeasibleError: If some point of the path cannot be reached.
+    """
+    if cost not in LEVELS:
+        raise InputError(f"method {METHOD} minimises {' or '.join(LEVELS)}, not {cost}")
+    began = time.perf_counter()
+    tell = progress or (lambda text, share: None)
+    problem = stages.discretise(task, STEP)
+    functions = direct.node_functions(3, 13, _node(problem.crane, problem.moving, cost))
+    corners = np.cumsum(task.path.durations) if isinstance(task.path, Lines) else np.array([task.duration])
+    work = _Work(task, cost, start, problem, functions, np.concatenate([[0.0], corners]))
+    held = np.clip(start, problem.lower, problem.upper)
+    guess = motion.make(problem.step, held, 0.0 * held, 0.0 * held[1:], METHOD, cost)
+    best, last, log = None, None, []
+    # The last level again and again while there is a limit to be drawn in.
+    finest = LEVELS[cost][-1]
+    repairs = [replace(finest, damping=finest.damping * CALMED**n) for n in range(1, REPAIRS + 1)]
+    levels = (*LEVELS[cost], *repairs)
+    drawn = None
+    for i, level in enumerate(levels):
+        if i >= len(LEVELS[cost]):
+            assert last is not None
+            drawn = _draw_in(work, last, drawn)
+            if drawn is None:
+                break
+        tell(f"{level.nodes} nodes", min(1.0, i / len(LEVELS[cost])))
+        last = _solve(work, level, guess, drawn)
+        guess = last.judged.motion  # also unconverged: the next level may do better from there
+        log.append(
+            f"{time.perf_counter() - began:6.2f} s  {last.points.time.size - 1} nodes, s = {level.sharpness:g} s/m: "
+            f"{last.text}, judged {last.judged.energy(cost) / 1e3:.4f} kJ, {last.judged.status}"
+        )
+        if last.converged and (best is None or direct.better(last.judged, best, cost)):
+            best = last.judged
+    assert last is not None
+    result = replace(guess, status=f"not converged: {last.text}") if best is None else best.motion
+    if best is not None and not best.feasible:
+        result = replace(result, status=best.status)
+    tell("done", 1.0)
+    return replace(result, solve_s=time.perf_counter() - began, log=tuple(log))
+
+
+def _node(crane: cranes.Crane, moving: slice, cost: str) -> Callable[[Any, Any], tuple[Any, Any]]:
+    """Cost and rows of a node: x = (c, w, u), p = (reference in the boom's plane, weight, s, e, damping)."""
+    import casadi as ca
+
+    def node(x, p):
+        pose = cranes.pose(crane, cranes.Plane(*[p[i] for i in range(9)]), x[0])
+        state = cranes.move(pose, x[1], x[2])
+        # The redundant cylinder comes last; its limits are bounds.
+        rows = ca.vertcat(*state.velocity[moving][:-1], *state.acceleration[moving][:-1])
+        power = direct.smooth_power(crane, pose, state, cost, p[10], p[11])
+        return p[9] * (power + p[12] * x[2] * x[2]), rows
+
+    return node
+
+
+def _solve(work: _Work, level: Level, guess: Motion, drawn: tuple | None) -> _Solved:
+    """Solve one level from a guess, its limits drawn in by the results of `_draw_in`."""
+    task, problem = work.task, work.problem
+    points = mesh(work.edges, level.nodes)
+    count = points.time.size
+    plane = cranes.plane(task.machine, sample(task, points.time))
+    columns = [getattr(plane, field.name) for field in fields(plane)]
+    columns += [points.weight, level.sharpness, level.maximum, level.damping]
+    parameters = np.stack(np.broadcast_arrays(*columns), axis=1)
+    cylinders = problem.crane.machine.cylinders[problem.moving]
+    velocity = np.tile([c.velocity_limit for c in cylinders], (count, 1))
+    acceleration = np.tile([c.acceleration_limit for c in cylinders], (count, 1))
+    lowest = np.interp(points.time, problem.time, problem.lower)
+    highest = np.interp(points.time, problem.time, problem.upper)
+    if drawn is not None:
+        lowest, highest = lowest + drawn[0][:, 0], highest - drawn[0][:, 1]
+        velocity, acceleration = velocity - drawn[1], acceleration - drawn[2]
+    low = np.stack([lowest, -velocity[:, -1], -acceleration[:, -1]], axis=1)
+    high = np.stack([highest, velocity[:, -1], acceleration[:, -1]], axis=1)
+    low[0, 0] = high[0, 0] = work.start
+    low[[0, -1], 1] = high[[0, -1], 1] = 0.0
+    low[-1, 2] = high[-1, 2] = 0.0  # the end is no point: nothing depends on its control
+    rows = np.concatenate([velocity[:, :-1], acceleration[:, :-1]], axis=1)
+    c, w, u = guess.at(points.time)
+    program = direct.assemble(work.functions, count, double_integrator(points, 3))
+    answer = direct.optimise(program, np.stack([c, w, u], axis=1), parameters, (low, high), (-rows, rows))
+    speed = points.at(answer.values[:, 1], problem.time)
+    speed[[0, -1]] = 0.0
+    found = motion.from_velocities(problem.step, work.start, speed, METHOD, work.cost)
+    return _Solved(evaluate(task, found), points, answer.converged, answer.text)
+
+
+def _draw_in(work: _Work, solved: _Solved, drawn: tuple | None) -> tuple | None:
+    """By how much to draw in the limits at the nodes, what was drawn in before included; None: nothing to do.
+
+    Returns:
+        Lower and upper position [m], (nodes, 2); velocities [m/s] and accelerations [m/s^2], (nodes, moving).
+    """
+    judged, problem, nodes = solved.judged, work.problem, solved.points.time
+    c = judged.length[:, -1]
+    outside = np.stack(
+        [
+            np.interp(judged.time, problem.time, problem.lower) - c,
+            c - np.interp(judged.time, problem.time, problem.upper),
+        ],
+        axis=1,
+    )
+    stroke = np.ptp(stages.stroke_range(work.task))
+    cylinders = problem.crane.machine.cylinders
+    found = (
+        direct.around(np.where(outside > 0.5 * (direct.KEPT - 1.0) * stroke, outside, 0.0), judged.time, nodes),
+        direct.exceeded(judged.velocity, [c.velocity_limit for c in cylinders], judged.time, nodes)[:, problem.moving],
+        direct.exceeded(judged.acceleration, [c.acceleration_limit for c in cylinders], judged.time, nodes)[
+            :, problem.moving
+        ],
+    )
+    if judged.feasible or not any(np.any(amount > 0.0) for amount in found):
+        return None
+    found = tuple(DRAWN * amount for amount in found)
+    return found if drawn is None else tuple(old + new for old, new in zip(drawn, found, strict=True))

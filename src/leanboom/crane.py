@@ -82,7 +82,12 @@ def plane(machine: Machine, reference: Reference) -> Plane:
     if np.min(np.hypot(x, y)) < 1e-6:
         raise InputError("the path passes through the slewing axis, where the base angle is undefined; move it away")
     r, vr, ar, v1, a1 = kinematics.cylindrical(x, y, vx, vy, ax, ay)
-    return Plane(r, z, vr, vz, ar, az, np.unwrap(np.arctan2(y, x)), v1, a1)
+    q1 = np.unwrap(np.arctan2(y, x))
+    # Whole turns are free: take those that bring the path nearest to the middle of the base joint's range.
+    turns = np.round(
+        (0.5 * (machine.joints[0].lower + machine.joints[0].upper) - 0.5 * (q1.min() + q1.max())) / (2 * np.pi)
+    )
+    return Plane(r, z, vr, vz, ar, az, q1 + 2 * np.pi * turns, v1, a1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -46,8 +46,8 @@ def drive(cylinder: Cylinder, valve: Valve, pump: Pump) -> Drive:
         back_piston = valve.retract_coefficient * drop + pump.tank_pressure  # p_A retracting, eq. (23)
     gain_in, back_in = 1.0 / b, a / b * back_piston  # eq. (24) retracting; eqs. (34)-(35)
     if cylinder.connection is Connection.SINGLE_ACTING:
-        # Rod side drained: no back pressure out, no pump flow and no driven pressure in.
-        return Drive(a, 0.0, 1.0 / a, 0.0, 0.0, 0.0)
+        # Rod side drained to the tank: no pump flow and no driven pressure retracting.
+        return Drive(a, 0.0, 1.0 / a, b / a * pump.tank_pressure, 0.0, 0.0)
     if cylinder.connection is Connection.DIFFERENTIAL:
         # Eqs. (27)-(28): p_A = F/A + (B/A) p_B, p_B = F/(A-B) + (K^2 B^2 A/(A-B)^3 + A/(A-B)) drop.
         rod = a - b

@@ -12,6 +12,7 @@ import numpy as np
 
 from leanboom import crane as cranes
 from leanboom import hydraulics, kinematics
+from leanboom.errors import InputError
 from leanboom.motion import Motion
 from leanboom.task import Task, sample
 
@@ -105,18 +106,35 @@ def evaluate(task: Task, motion: Motion) -> Evaluation:
         motion: Motion of the redundant cylinder, from any method.
 
     Returns:
-        The completed motion with pressures, flows, power, energy and limit use on a 2 ms grid.
+        The completed motion with pressures, flows, power, energy and limit use on a 2 ms grid. A motion that
+        leaves the crane's reach is off its path and costs infinitely much.
+
+    Raises:
+        InputError: If the motion does not last as long as the task, or the task's low pass cannot be sampled.
     """
+    _check(task, motion)
+    with np.errstate(all="ignore"):  # singular poses, off the path: reported as such
+        return _evaluate(task, motion)
+
+
+def _check(task: Task, motion: Motion) -> None:
+    lasts = motion.step * motion.acceleration.size
+    if abs(lasts - task.duration) > 1e-6 * task.duration:
+        raise InputError(f"the motion lasts {lasts:g} s, the task {task.name} {task.duration:g} s")
+    if task.smooth is not None and not 0.0 < task.smooth < 0.5 / SAMPLE:
+        raise InputError(f"smooth = {task.smooth:g} Hz; must be above 0 Hz and below {0.5 / SAMPLE:g} Hz")
+
+
+def _evaluate(task: Task, motion: Motion) -> Evaluation:
     crane = cranes.build(task)
     machine = task.machine
     time = np.linspace(0.0, task.duration, max(2, int(round(task.duration / SAMPLE)) + 1))
     c, w, u = motion.at(time) if task.smooth is None else _low_pass(motion, time, task.smooth)
     reference = sample(task, time)
     plane = cranes.plane(machine, reference)
-    with np.errstate(divide="ignore", invalid="ignore"):  # singular poses off the path: reported as such below
-        pose = cranes.pose(crane, plane, c)
-        moving = cranes.move(pose, w, u)
-        force = np.stack(cranes.forces(pose, moving), axis=1)
+    pose = cranes.pose(crane, plane, c)
+    moving = cranes.move(pose, w, u)
+    force = np.stack(cranes.forces(pose, moving), axis=1)
     velocity = np.stack(moving.velocity, axis=1)
     acceleration = np.stack(moving.acceleration, axis=1)
     joint_position = np.stack((plane.q1, *pose.q) if machine.geometry.slewing else pose.q, axis=1)
@@ -194,6 +212,7 @@ def hydraulic_state(crane: cranes.Crane, velocity: np.ndarray, force: np.ndarray
 
 def _integral(time: np.ndarray, power: np.ndarray) -> np.ndarray:
     steps = 0.5 * (power[1:] + power[:-1]) * np.diff(time)
+    steps = np.where(np.isfinite(steps), steps, np.inf)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
@@ -234,14 +253,16 @@ def _violations(task, motion, time, use, joint_position, velocity, acceleration,
         i = int(error.argmax())
         found.append((np.inf, f"tool off its path by {error[i]:.4f} m at {time[i]:.3f} s{_stage(motion, time[i])}"))
     limits = [(joint.lower, joint.upper) for joint in machine.joints]
+    speeds = [(-c.velocity_limit, c.velocity_limit) for c in machine.cylinders]
+    pushes = [(-c.acceleration_limit, c.acceleration_limit) for c in machine.cylinders]
     kinds = (
         ("position", joint_position, limits, None),
-        ("velocity", velocity, [(-c.velocity_limit, c.velocity_limit) for c in machine.cylinders], "m/s"),
-        ("acceleration", acceleration, [(-c.acceleration_limit, c.acceleration_limit) for c in machine.cylinders], "m/s^2"),
-    )  # fmt: skip
+        ("velocity", velocity, speeds, "m/s"),
+        ("acceleration", acceleration, pushes, "m/s^2"),
+    )
     for (kind, values, ranges, unit), used in zip(kinds, use, strict=True):
         for j, name in enumerate(machine.names):
-            i = int(used[:, j].argmax())
+            i = int(np.where(np.isfinite(values[:, j]), used[:, j], 0.0).argmax())
             if used[i, j] > TOLERANCE:
                 value = values[i, j]
                 limit = ranges[j][1] if value > 0.5 * sum(ranges[j]) else ranges[j][0]
@@ -267,7 +288,6 @@ def _notes(task: Task, time: np.ndarray, pump_flow: np.ndarray, supply: np.ndarr
         notes.append(f"pump flow {flow:.1f} l/min at {time[i]:.3f} s is above the pump's {limit:.1f} l/min")
     i = int(supply.argmax())
     if supply[i] > pump.max_pressure:
-        notes.append(
-            f"LS supply {supply[i] / 1e6:.2f} MPa at {time[i]:.3f} s is above the pump's {pump.max_pressure / 1e6:.2f} MPa"
-        )
+        high, limit = supply[i] / 1e6, pump.max_pressure / 1e6
+        notes.append(f"LS supply {high:.2f} MPa at {time[i]:.3f} s is above the pump's {limit:.2f} MPa")
     return tuple(notes)

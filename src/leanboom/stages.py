@@ -262,8 +262,8 @@ def setting(problem: Problem, cost: str, slopes: tuple[float, float, float, floa
     machine = problem.crane.machine
     pump = machine.pump
     return np.array(
-        [problem.step, COSTS[cost], HELD * machine.driven_velocity, pump.constant_pressure, pump.ls_margin, pump.efficiency,
-         *slopes]
+        [problem.step, COSTS[cost], HELD * machine.driven_velocity, pump.constant_pressure, pump.ls_margin,
+         pump.efficiency, *slopes]
     )  # fmt: skip
 
 

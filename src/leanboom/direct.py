@@ -1,0 +1,259 @@
+"""What the direct methods share: smoothed costs, a nonlinear program made of nodes, limits drawn in.
+
+The program is: least sum of the nodes' costs, rows of each node within bounds, linear equations between nodes.
+`collocation` and `shooting` differ in what a node is and in the linear equations.
+
+| symbol | name | unit |
+| --- | --- | --- |
+| s | sharpness of the smoothed Heaviside step | s/m |
+| e | constant under the root of the smoothed maximum | MPa^2 |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from leanboom import crane as cranes
+from leanboom import hydraulics
+from leanboom.judge import Evaluation
+
+KILO, MEGA = 1e-3, 1e-6  # power in kW, pressure in MPa
+KEPT = 1.0005  # a limit used up to this needs no repair; half of what the judge tolerates
+IPOPT = {
+    "print_level": 0,
+    "sb": "yes",
+    "max_iter": 300,
+    "tol": 1e-6,
+    "acceptable_tol": 1e-4,
+    "mu_strategy": "monotone",
+    "mu_init": 1e-2,
+}
+
+Progress = Callable[[str, float], None]
+
+
+# Smoothed costs, on CasADi symbols or numbers.
+
+
+def smooth_heaviside(x: Any, sharpness: Any) -> Any:
+    """Differentiable Heaviside step 1 / (1 + exp(-2 s x)), eq. (39); eq. (29), 3-DOF. As a tanh it cannot overflow."""
+    return 0.5 * (1.0 + np.tanh(sharpness * x))
+
+
+def smooth_maximum(a: Any, b: Any, small: Any) -> Any:
+    """Differentiable maximum, eq. (42); eq. (36), 3-DOF. Half the root of the small constant too large at a = b."""
+    return 0.5 * (a + b + np.sqrt((a - b) * (a - b) + small))
+
+
+def smooth_power(
+    crane: cranes.Crane, pose: cranes.Pose, moving: cranes.Moving, cost: str, sharpness: Any, small: Any
+) -> Any:
+    """Smoothed power of the pump: eqs. (36)-(43); eqs. (27)-(36), 3-DOF.
+
+    Args:
+        crane: The crane.
+        pose: Its pose.
+        moving: Its motion.
+        cost: "ls" or "cp".
+        sharpness: s of the smoothed Heaviside step [s/m]; per kW where the step is over a cylinder's power.
+        small: The constant e of the smoothed maximum [MPa^2].
+
+    Returns:
+        The power [kW].
+    """
+    pump, epsilon = crane.machine.pump, crane.machine.driven_velocity
+    flow, supply = 0.0, None
+    for v, force, d in zip(moving.velocity, cranes.forces(pose, moving), crane.drives, strict=True):
+        out, back = smooth_heaviside(v, sharpness), smooth_heaviside(-v, sharpness)
+        flow = flow + v * (d.area_out * out - d.area_in * back)  # eq. (37)
+        pressure = (d.gain_out * force + d.back_out) * smooth_heaviside(v - epsilon, sharpness)
+        pressure = pressure + (d.back_in - d.gain_in * force) * smooth_heaviside(-v - epsilon, sharpness)
+        pressure = MEGA * pressure * smooth_heaviside(KILO * force * v, sharpness)  # eq. (41)
+        supply = pressure if supply is None else smooth_maximum(supply, pressure, small)
+    supply = pump.constant_pressure * MEGA if cost == "cp" else supply + pump.ls_margin * MEGA  # eq. (40)
+    return hydraulics.pump_power(supply, flow * KILO / MEGA, pump.efficiency)
+
+
+# The nonlinear program.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NodeFunctions:
+    """Cost and rows of one node with their exact derivatives, as CasADi functions."""
+
+    size: int  # variables of a node
+    rows: int
+    parameters: int
+    value: Any  # (x, p) -> cost, rows
+    gradient: Any  # (x, p) -> gradient of the cost
+    jacobian: Any  # (x, p) -> non-zeros of the rows' Jacobian
+    hessian: Any  # (x, p, sigma, lam) -> upper non-zeros of the Lagrangian's Hessian
+    jacobian_places: tuple[np.ndarray, np.ndarray]
+    hessian_places: tuple[np.ndarray, np.ndarray]
+
+
+def node_functions(size: int, parameters: int, node: Callable[[Any, Any], tuple[Any, Any]]) -> NodeFunctions:
+    """Differentiate a node once, for any number of nodes.
+
+    Args:
+        size: Variables of a node.
+        parameters: Parameters of a node.
+        node: Cost and rows (a column) of symbols for variables and parameters.
+    """
+    import casadi as ca
+
+    ca.GlobalOptions.setNumpyMode(1)
+    x, p = ca.SX.sym("x", size), ca.SX.sym("p", parameters)
+    cost, rows = node(x, p)
+    sigma, lam = ca.SX.sym("sigma"), ca.SX.sym("lam", rows.numel())
+    jacobian = ca.jacobian(rows, x)
+    hessian = ca.triu(ca.hessian(sigma * cost + ca.dot(lam, rows), x)[0])
+
+    def function(name, inputs, outputs):
+        return ca.Function(name, inputs, [ca.cse(ca.densify(output)) for output in outputs])
+
+    def nonzeros(matrix):
+        return ca.vertcat(*[matrix.nz[i] for i in range(matrix.nnz())], ca.SX(0, 1))
+
+    return NodeFunctions(
+        size,
+        rows.numel(),
+        parameters,
+        function("value", [x, p], [cost, rows]),
+        function("gradient", [x, p], [ca.gradient(cost, x)]),
+        function("jacobian", [x, p], [nonzeros(jacobian)]),
+        function("hessian", [x, p, sigma, lam], [nonzeros(hessian)]),
+        tuple(np.array(places, dtype=np.int64) for places in jacobian.sparsity().get_triplet()),
+        tuple(np.array(places, dtype=np.int64) for places in hessian.sparsity().get_triplet()),
+    )
+
+
+def assemble(functions: NodeFunctions, nodes: int, linear: tuple, options: dict | None = None) -> Any:
+    """An IPOPT solver of: least sum of node costs, rows within bounds, linear equations between nodes.
+
+    Its constraints are the linear equations, then the rows of all nodes; variables, rows and parameters node by
+    node. The derivatives of one node are mapped over the nodes and put in their places, which takes milliseconds,
+    where differentiating the whole program takes seconds.
+
+    Args:
+        functions: The node.
+        nodes: How many of them.
+        linear: Linear equations as (count, row, column, value); the last three are arrays, (entries,).
+        options: IPOPT options that differ from `IPOPT`.
+    """
+    import casadi as ca
+
+    size, rows, total = functions.size, functions.rows, functions.size * nodes
+    x, p = ca.MX.sym("x", total), ca.MX.sym("p", functions.parameters * nodes)
+    per_x, per_p = ca.reshape(x, size, nodes), ca.reshape(p, functions.parameters, nodes)
+    count, row, column, value = linear
+    matrix = ca.DM.triplet(row.tolist(), column.tolist(), ca.DM(value), count, total)
+    costs, values = functions.value.map(nodes)(per_x, per_p)
+    f, g = ca.sum2(costs), ca.vertcat(ca.mtimes(matrix, x), ca.vec(values))
+
+    node = np.arange(nodes)[:, None]
+    r, c = functions.jacobian_places
+    jacobian = _place(
+        ca,
+        ca.vertcat(ca.MX(ca.DM(value)), ca.vec(functions.jacobian.map(nodes)(per_x, per_p))),
+        np.concatenate([row, (count + rows * node + r).ravel()]),
+        np.concatenate([column, (size * node + c).ravel()]),
+        (count + rows * nodes, total),
+    )
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", count + rows * nodes)
+    r, c = functions.hessian_places
+    lam = ca.reshape(lam_g[count:], rows, nodes)
+    hessian = _place(
+        ca,
+        ca.vec(functions.hessian.map(nodes)(per_x, per_p, ca.repmat(lam_f, 1, nodes), lam)),
+        (size * node + r).ravel(),
+        (size * node + c).ravel(),
+        (total, total),
+    )
+    gradient = ca.vec(functions.gradient.map(nodes)(per_x, per_p))
+    settings = {
+        "grad_f": ca.Function("nlp_grad_f", [x, p], [f, gradient], ["x", "p"], ["f", "grad_f_x"]),
+        "jac_g": ca.Function("nlp_jac_g", [x, p], [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),
+        "hess_lag": ca.Function(
+            "nlp_hess_l", [x, p, lam_f, lam_g], [hessian], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+        ),
+        "ipopt": {**IPOPT, **(options or {})},
+        "print_time": False,
+        "error_on_fail": False,
+    }
+    return ca.nlpsol("direct", "ipopt", {"x": x, "p": p, "f": f, "g": g}, settings)
+
+
+def _place(ca, nonzeros, row, column, shape):
+    """Sparse matrix of given non-zeros, each in its own place."""
+    sparsity = ca.Sparsity.triplet(*shape, row.tolist(), column.tolist())
+    return ca.MX(sparsity, nonzeros.nz[np.lexsort((row, column)).tolist()])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """What IPOPT made of a program."""
+
+    values: np.ndarray  # (nodes, variables)
+    converged: bool
+    text: str  # IPOPT's status, iterations and objective
+
+
+def optimise(solver: Any, guess: np.ndarray, parameters: np.ndarray, bounds: tuple, row_bounds: tuple) -> Answer:
+    """Solve an assembled program.
+
+    Args:
+        solver: From `assemble`.
+        guess: First guess, (nodes, variables).
+        parameters: (nodes, parameters).
+        bounds: Lower and upper bounds of the variables, (nodes, variables) each.
+        row_bounds: Lower and upper bounds of the rows, (nodes, rows) each.
+    """
+    equations = np.zeros(solver.size1_in("lbg") - row_bounds[0].size)
+    answer = solver(
+        x0=np.clip(guess, *bounds).ravel(), p=parameters.ravel(), lbx=bounds[0].ravel(), ubx=bounds[1].ravel(),
+        lbg=np.concatenate([equations, row_bounds[0].ravel()]),
+        ubg=np.concatenate([equations, row_bounds[1].ravel()]),
+    )  # fmt: skip
+    stats = solver.stats()
+    text = f"{stats['return_status']} after {stats['iter_count']} iterations at {float(answer['f']):.4f} kJ"
+    return Answer(np.array(answer["x"]).reshape(guess.shape), bool(stats["success"]), text)
+
+
+# Motions that go beyond limits between the nodes.
+
+
+def better(one: Evaluation, other: Evaluation, cost: str) -> bool:
+    """Whether a judged motion beats another: feasible first, then cheaper, or nearer to its limits."""
+    if one.feasible != other.feasible:
+        return one.feasible
+    if not one.feasible:
+        return one.limit_use.worst < other.limit_use.worst
+    return one.energy(cost) < other.energy(cost)
+
+
+def exceeded(values: np.ndarray, limits: list[float], time: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """How far sampled values go beyond limits around each node, 0 where less than `KEPT` of the limit is used.
+
+    Args:
+        values: (samples, joints).
+        limits: The same limit both ways, one a joint.
+        time: Of the samples [s], (samples,).
+        nodes: Times of the nodes [s], (nodes,).
+
+    Returns:
+        The amounts, (nodes, joints).
+    """
+    bound = np.array(limits)
+    return around(np.where(np.abs(values) > KEPT * bound, np.abs(values) - bound, 0.0), time, nodes)
+
+
+def around(values: np.ndarray, time: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """The largest sampled value, (samples, columns), between the neighbours of each node, (nodes, columns)."""
+    first = np.minimum(np.searchsorted(time, nodes[:-1]), time.size - 1)
+    largest = np.maximum.reduceat(values, first, axis=0)
+    return np.maximum(np.concatenate([largest[:1], largest]), np.concatenate([largest, largest[-1:]]))
