@@ -206,7 +206,7 @@ def test_bellman_residual_of_stored_values_is_zero(cost, seed):
 
 
 def enumerable(seed: int, cost: str) -> Small:
-    """Nodes that reach nodes exactly: positions half a velocity step times Ts apart, the grid wide enough to stay in."""
+    """Nodes reach nodes exactly: positions half a velocity step times Ts apart, the grid wide enough to stay in."""
     small = problem(seed, cost, stages=4, positions=17, velocities=3)
     ts, dw = small.setting[kernels.STEP], 0.1
     stage = small.stage.copy()

@@ -8,15 +8,17 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
+
 from leanboom import planner, stages
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.files import load_task
 from leanboom.judge import PATH_TOLERANCE, TOLERANCE, Evaluation, evaluate, judged_cost
 from leanboom.objective import COSTS
 from leanboom.task import Lines, Spline, Task
-from ruamel.yaml import YAML
 
 TESTS = Path(__file__).parent
 CASES = YAML(typ="safe").load(TESTS / "problems.yaml")
@@ -32,10 +34,19 @@ EDGE = replace(
 TASKS = {"vertical": VERTICAL, "slewing": SLEWING, "edge": EDGE}
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _one_thread():
+    """Grids are small here: two threads save nothing, and on a busy machine they wait for each other."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    yield
+    numba.set_num_threads(before)
+
+
 @cache
 def ran(name: str, start: str, pump: str, method: str = "dp") -> planner.Plan:
     task = replace(TASKS[name], start=start)
-    return planner.run(task, pump=pump, method=method, grid=(61, 41), step=0.1)
+    return planner.run(task, pump=pump, method=method, grid=(121, 61), step=0.1)
 
 
 def moved_in_time(seconds: float) -> Task:
@@ -212,7 +223,9 @@ def test_a_grid_beyond_memory_is_refused_before_anything_is_built():
 
 
 def test_a_start_that_is_not_feasible_says_what_is():
-    with pytest.raises(InputError, match=r"start = 0\.1 m; feasible at the beginning of this path: 0\.\d+ m to \d\.\d+ m"):
+    with pytest.raises(
+        InputError, match=r"start = 0\.1 m; feasible at the beginning of this path: 0\.\d+ m to \d\.\d+ m"
+    ):
         planner.plan(replace(VERTICAL, start=0.1), grid=(31, 21), step=0.1)
 
 
@@ -249,7 +262,9 @@ def test_golden_numbers(machine):
     golden = json.loads((TESTS / "golden" / f"{machine}.json").read_text(encoding="utf-8"))
     script = runpy.run_path(str(TESTS.parent / "scripts" / "regenerate_golden.py"))
     found = script["measure"](machine)
-    assert {key: found[key] for key in found if key != "numbers"} == {key: golden[key] for key in golden if key != "numbers"}
+    assert {key: found[key] for key in found if key != "numbers"} == {
+        key: golden[key] for key in golden if key != "numbers"
+    }
     assert found["numbers"].keys() == golden["numbers"].keys()
     for method, numbers in golden["numbers"].items():
         assert found["numbers"][method] == pytest.approx(numbers, rel=golden["tolerance"]), method

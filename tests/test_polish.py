@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
+import numba
 import numpy as np
 import pytest
+
 from leanboom import dp, motion, polish, pseudo_inverse, stages
 from leanboom.files import load_task
 from leanboom.judge import evaluate, judged_cost
@@ -20,6 +22,15 @@ TASKS = {
         load_task("loader-triangle-small"), start="middle", path=Lines(((2.6, 0.0, 0.5), (3.2, 0.0, 1.1667)), (6.0,))
     ),
 }
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _one_thread():
+    """Grids are small here: two threads save nothing, and on a busy machine they wait for each other."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    yield
+    numba.set_num_threads(before)
 
 
 class Spy:
@@ -74,7 +85,9 @@ def asked(name: str, cost: str):
     polish.solve(replace(polisher, solver=spy), start, polish.modes(polisher, start))
     rng = np.random.default_rng(20170506)
     x0 = spy.asked["x0"]
-    scale = np.tile(np.maximum(0.05 * np.ptp(x0.reshape(-1, polisher.layout.size), axis=0), 1e-3), len(x0) // polisher.layout.size)
+    scale = np.tile(
+        np.maximum(0.05 * np.ptp(x0.reshape(-1, polisher.layout.size), axis=0), 1e-3), len(x0) // polisher.layout.size
+    )
     x = x0 + scale * rng.normal(size=x0.size)
     x = np.where(np.arange(x.size) % polisher.layout.size == 0, x0, x)  # positions stay where they are feasible
     return polisher.solver, x, spy.asked["p"], rng.normal(size=spy.asked["lbg"].size)
@@ -163,7 +176,9 @@ def test_same_modes_need_every_switch_to_agree():
 # Answers
 
 
-@pytest.mark.parametrize(("name", "cost"), [("vertical", "ls"), ("vertical", "cp"), ("slewing", "ls"), ("loader", "cp")])
+@pytest.mark.parametrize(
+    ("name", "cost"), [("vertical", "ls"), ("vertical", "cp"), ("slewing", "ls"), ("loader", "cp")]
+)
 def test_answer_keeps_dynamics_limits_and_ends_and_costs_what_the_solver_says(name, cost):
     """The judge's 2 ms and the trapezoid between stages differ by what switches inside an interval cost: 4 %."""
     polisher = built(name, cost, 0.1)

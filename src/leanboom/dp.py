@@ -22,6 +22,7 @@ The error of the value is that of linear interpolation, first order in the grid 
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +36,9 @@ from leanboom.stages import Grid, Problem, Tables
 # Penalty slopes relative to the energy scale: per stroke range [m], per velocity limit (state, cylinders), per
 # acceleration limit. Measured: results change by less than 1 % between a tenth and ten times these.
 SLOPES = (20.0, 1.5, 1.5, 0.2)
+
+
+WORTH_SHARING = 4000  # nodes of a stage that make another thread worth while
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,8 +142,32 @@ def solve(problem: Problem, grid: Grid, cost: str) -> Policy:
     w = last[kernels.W_LO] + last[kernels.DW] * np.arange(grid.velocities)
     terminal = np.repeat((steep[1] * np.abs(w))[None, :], grid.positions, axis=0)
     values = np.empty((problem.stages + 1, grid.positions, grid.velocities), dtype=np.float32)
-    kernels.sweep(table.coefficients, table.outside, table.stage, table.cylinder, setting, terminal, values)
+    problem_arrays = table.coefficients, table.outside, table.stage, table.cylinder, setting
+    workers = min(stages.threads(), grid.positions * grid.velocities // WORTH_SHARING)
+    if workers < 2:
+        kernels.sweep(*problem_arrays, terminal, values)
+    else:
+        _sweep_shared(problem_arrays, terminal, values, workers)
     return Policy(problem, cost, grid, table, setting, values)
+
+
+def _sweep_shared(problem_arrays: tuple, terminal: np.ndarray, values: np.ndarray, workers: int) -> None:
+    """The backward pass with every stage's positions shared among threads; the same bits as `kernels.sweep`."""
+    stages_, positions = values.shape[0] - 1, values.shape[1]
+    bounds = np.linspace(0, positions, workers + 1).astype(int).tolist()
+    ahead, here = terminal.copy(), np.empty_like(terminal)
+    values[stages_] = terminal
+    with ThreadPoolExecutor(workers - 1) as pool:
+        for k in range(stages_ - 1, -1, -1):
+            arrays = (*problem_arrays, ahead, here, values)
+            parts = [
+                pool.submit(kernels.sweep_stage, k, first, last, *arrays)
+                for first, last in zip(bounds[1:-1], bounds[2:], strict=True)
+            ]
+            kernels.sweep_stage(k, 0, bounds[1], *arrays)
+            for part in parts:
+                part.result()
+            ahead, here = here, ahead
 
 
 def rollout(policy: Policy, start: float, method: str = "dp") -> Motion:
@@ -190,7 +218,9 @@ def prepare() -> None:
     setting = np.ones(kernels.SETTINGS)
     values = np.zeros((2, 2, 2), dtype=np.float32)
     cylinder = np.ones((1, kernels.CYLINDER_COLUMNS))
-    kernels.sweep(coefficients, np.zeros((2, 2)), stage, cylinder, setting, np.zeros((2, 2)), values)
+    arrays = coefficients, np.zeros((2, 2)), stage, cylinder, setting
+    kernels.sweep(*arrays, np.zeros((2, 2)), values)
+    _sweep_shared(arrays, np.zeros((2, 2)), values, 2)
     kernels.rollout(
         coefficients, np.zeros((2, 2)), stage, cylinder, setting, values, np.zeros(2), 0, np.zeros(2), np.zeros(2),
         np.zeros(1),

@@ -3,7 +3,8 @@
 Kernels know nothing of machines or tasks. All physics arrives as tables over (stage, position) nodes that are
 polynomial in the redundant cylinder's velocity w and affine in its acceleration u; formulas are shared with the
 rest of the package. Arrays in, caller-owned arrays out, no allocation in the stage loop, ties go to the
-candidate tried first (strict <), parallel only over independent positions, so results do not depend on threads.
+candidate tried first (strict <). Threads may share a stage by its positions, which are independent, so results do not
+depend on their number; kernels release the interpreter's lock.
 
 | symbol | name | unit |
 | --- | --- | --- |
@@ -16,7 +17,7 @@ candidate tried first (strict <), parallel only over independent positions, so r
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from leanboom.dynamics import friction
 from leanboom.formula import enable_in_kernels
@@ -234,37 +235,48 @@ def best_control(row, outside, c, w, k, stage, cylinder, setting, ahead, lines):
     return base + best, best_u
 
 
-@njit(cache=True, parallel=True)
-def sweep(coefficients, outside, stage, cylinder, setting, terminal, values):
-    """Backward pass over all stages.
+@njit(cache=True, nogil=True)
+def sweep_stage(k, first, last, coefficients, outside, stage, cylinder, setting, ahead, here, values):
+    """One stage of the backward pass, for positions `first` to `last` - 1.
 
     Args:
+        k: The stage.
+        first, last: Range of positions; ranges are independent, so threads may share a stage.
         coefficients: Node tables, (stages + 1, positions, moving cylinders, COEFFICIENTS).
         outside: Distance of each node from the feasible extensions [m], (stages + 1, positions).
         stage: Grid and prescribed cylinders of each stage, (stages + 1, STAGE_COLUMNS).
         cylinder: Moving cylinders, (moving cylinders, CYLINDER_COLUMNS).
         setting: Scalars, (SETTINGS,).
+        ahead: Value of the next stage [J], (positions, velocities).
+        here: Out: value of this stage [J], (positions, velocities).
+        values: Out: value of every stage, (stages + 1, positions, velocities), any float type.
+    """
+    lines = np.zeros((SCRATCH, coefficients.shape[2]))
+    for p in range(first, last):
+        row = coefficients[k, p]
+        c = stage[k, C_LO] + p * stage[k, DC]
+        for j in range(here.shape[1]):
+            w = stage[k, W_LO] + j * stage[k, DW]
+            value, _ = best_control(row, outside[k, p], c, w, k, stage, cylinder, setting, ahead, lines)
+            here[p, j] = value
+            values[k, p, j] = value
+
+
+@njit(cache=True, nogil=True)
+def sweep(coefficients, outside, stage, cylinder, setting, terminal, values):
+    """Backward pass over all stages by one thread; arguments as in `sweep_stage`.
+
+    Args:
+        coefficients, outside, stage, cylinder, setting: The problem.
         terminal: Value at the last stage [J], (positions, velocities).
         values: Out: value of every stage, (stages + 1, positions, velocities), any float type.
     """
-    stages = stage.shape[0] - 1
-    positions, velocities = terminal.shape
-    ahead = terminal.copy()
-    here = np.empty_like(terminal)
-    for p in range(positions):
-        for j in range(velocities):
-            values[stages, p, j] = terminal[p, j]
+    stages, positions = stage.shape[0] - 1, terminal.shape[0]
+    ahead, here = terminal.copy(), np.empty_like(terminal)
+    values[stages] = terminal
     for back in range(stages):
         k = stages - 1 - back
-        for p in prange(positions):
-            scratch = np.zeros((SCRATCH, coefficients.shape[2]))
-            row = coefficients[k, p]
-            c = stage[k, C_LO] + p * stage[k, DC]
-            for j in range(velocities):
-                w = stage[k, W_LO] + j * stage[k, DW]
-                value, _ = best_control(row, outside[k, p], c, w, k, stage, cylinder, setting, ahead, scratch)
-                here[p, j] = value
-                values[k, p, j] = value
+        sweep_stage(k, 0, positions, coefficients, outside, stage, cylinder, setting, ahead, here, values)
         ahead, here = here, ahead
 
 

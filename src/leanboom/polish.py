@@ -20,7 +20,6 @@ quadrature second order and keeps acceleration limits on either side of a switch
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,7 +28,7 @@ import numpy as np
 from leanboom import crane as cranes
 from leanboom import hydraulics, motion
 from leanboom.motion import Motion
-from leanboom.stages import HELD, Problem, prescribed
+from leanboom.stages import HELD, Problem, prescribed, threads
 
 LITRE, MEGA = 1e3, 1e-6  # flow in l/s, pressure in MPa: their product is kW
 FORCE = 1e-5  # scale of the rows that keep a load's sign [1/N]
@@ -176,13 +175,12 @@ def _end_rows(ca, problem: Problem, layout: Layout, x, state, pressure, flow, mo
 def _assemble(ca, stages, here, there, parameters, rows, cost, node_rows, theta):
     """An IPOPT solver whose exact derivatives are one stage function mapped over the stages, then scattered."""
     size, m, count = here.numel(), rows.numel(), parameters.numel()
-    threads = max(1, min(2, os.cpu_count() or 1))
     both, lam, sigma = ca.vertcat(here, there), ca.SX.sym("lam", m), ca.SX.sym("sigma")
     jac = ca.jacobian(rows, both)
     hess = ca.triu(ca.hessian(sigma * cost + ca.dot(lam, rows), both)[0])
 
     def mapped(name, arguments, values):
-        return ca.Function(name, arguments, [ca.cse(value) for value in values]).map(stages, "thread", threads)
+        return ca.Function(name, arguments, [ca.cse(value) for value in values]).map(stages, "thread", threads())
 
     f_rows = mapped("rows", [both, parameters], [cost, rows])
     f_grad = mapped("gradients", [both, parameters], [ca.gradient(cost, both)])

@@ -25,12 +25,17 @@ pseudo-inverse.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
-from leanboom import direct, stages
+import numpy as np
+
+from leanboom import crane as cranes
+from leanboom import direct, kinematics, motion, pseudo_inverse, stages
 from leanboom.direct import Progress
-from leanboom.errors import InputError
-from leanboom.judge import evaluate
+from leanboom.errors import InputError, LeanboomError
+from leanboom.judge import Evaluation, evaluate
 from leanboom.motion import Motion
 from leanboom.task import Task
 
@@ -81,7 +86,7 @@ def plan(task: Task, cost: str, start: float, progress: Progress | None = None) 
     problem = stages.discretise(task, STEP)
     work = _prepare(problem, cost)
     values = _first_guess(problem, start)
-    best, last, drawn, log = None, None, None, []
+    best, last, drawn, log, answer = None, None, None, [], None
     finest = SEQUENCE[cost][-1]
     for i, sharpness in enumerate((*SEQUENCE[cost], *[finest] * REPAIRS)):
         if i >= len(SEQUENCE[cost]):
@@ -99,4 +104,162 @@ def plan(task: Task, cost: str, start: float, progress: Progress | None = None) 
         )
         if answer.converged and (best is None or direct.better(last, best, cost)):
             best = last
-    ...
+    assert last is not None
+    if best is None:
+        result = replace(last.motion, status=f"not converged: {answer.text}")
+    else:
+        result = best.motion if best.feasible else replace(best.motion, status=best.status)
+    tell("done", 1.0)
+    return replace(result, solve_s=time.perf_counter() - began, log=tuple(log))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Work:
+    """The assembled program of a task. A node has x = (q, v, u), p = (path in the plane, weight, s, e, damping)."""
+
+    problem: stages.Problem
+    program: Any
+    reference: np.ndarray  # (stages + 1, 9)
+
+
+def _prepare(problem: stages.Problem, cost: str) -> _Work:
+    joints = len(problem.crane.machine.joints)
+    functions = direct.node_functions(3 * joints, 13, _node(problem.crane, cost))
+    program = direct.assemble(functions, problem.stages + 1, integrators(problem.stages, joints, problem.step))
+    columns = [getattr(problem.plane, field.name) for field in fields(problem.plane)]
+    return _Work(problem, program, np.stack(np.broadcast_arrays(*columns), axis=1))
+
+
+def integrators(count: int, joints: int, step: float) -> tuple:
+    """Linear equations of a Runge-Kutta step a stage, exact for q'' = u, for `direct.assemble`.
+
+    Args:
+        count: Number of stages.
+        joints: Number of joints; a node's variables are their q, their v, their u.
+        step: Length of a stage [s].
+    """
+    node, joint = (index.ravel() for index in np.meshgrid(np.arange(count), np.arange(joints), indexing="ij"))
+    here, there = 3 * joints * node + joint, 3 * joints * (node + 1) + joint
+    row, second = joints * node + joint, joints * count
+    terms = (
+        (row, there, 1.0),
+        (row, here, -1.0),
+        (row, here + joints, -step),
+        (row, here + 2 * joints, -0.5 * step * step),
+        (second + row, there + joints, 1.0),
+        (second + row, here + joints, -1.0),
+        (second + row, here + 2 * joints, -step),
+    )
+    rows, columns, values = zip(*((r, c, np.full(r.size, value)) for r, c, value in terms), strict=True)
+    return 2 * second, np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
+
+
+def forward(crane: cranes.Crane, q: list, v: list, u: list) -> cranes.Plane:
+    """The tool of given joint motion in the boom's plane, eqs. (4)-(9); eqs. (5)-(8), 3-DOF."""
+    g = crane.machine.geometry
+    planar = q[-3:]
+    r, z = kinematics.tool_point(*planar, g.base_x, g.base_z, g.boom, g.offset, g.outer)
+    jacobian = kinematics.jacobian(*planar, g.boom, g.offset, g.outer)
+    br, bz = kinematics.velocity_product(*planar, *v[-3:], g.boom, g.offset, g.outer)
+    base = [q[0], v[0], u[0]] if g.slewing else [0.0, 0.0, 0.0]
+    vr, ar = (sum(k * x for k, x in zip(jacobian[:3], xs[-3:], strict=True)) for xs in (v, u))
+    vz, az = (sum(k * x for k, x in zip(jacobian[3:], xs[-3:], strict=True)) for xs in (v, u))
+    return cranes.Plane(r, z, vr, vz, ar + br, az + bz, *base)
+
+
+def _node(crane: cranes.Crane, cost: str) -> Callable[[Any, Any], tuple[Any, Any]]:
+    """Cost and rows of a node: path in velocity form, then cylinder velocities and accelerations."""
+    import casadi as ca
+
+    joints, slewing = len(crane.machine.joints), crane.machine.geometry.slewing
+
+    def node(x, p):
+        q, v, u = ([x[k * joints + i] for i in range(joints)] for k in range(3))
+        tool = forward(crane, q, v, u)
+        # The inverse kinematics of this pose gives q back: the crane's one model serves here as well.
+        pose = cranes.pose(crane, tool, crane.ratio * q[-1])
+        state = cranes.move(pose, crane.ratio * v[-1], crane.ratio * u[-1])
+        path = [tool.vr - p[2] - (p[0] - tool.r) / RETURN, tool.vz - p[3] - (p[1] - tool.z) / RETURN]
+        if slewing:
+            path.append(tool.v1 - p[7] - (p[6] - tool.q1) / RETURN)
+        power = direct.smooth_power(crane, pose, state, cost, p[10], p[11])
+        return p[9] * (power + p[12] * state.acceleration[-1] ** 2), ca.vertcat(
+            *path, *state.velocity, *state.acceleration
+        )
+
+    return node
+
+
+def _complete(problem: stages.Problem, c: np.ndarray, w: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Variables of all nodes, (stages + 1, 3 joints), from the motion of the redundant cylinder there."""
+    pose = cranes.pose(problem.crane, problem.plane, c)
+    moving = cranes.move(pose, w, u)
+    q = (problem.plane.q1, *pose.q) if problem.crane.machine.geometry.slewing else pose.q
+    return np.stack([*q, *moving.joint_velocity, *moving.joint_acceleration], axis=1)
+
+
+def _first_guess(problem: stages.Problem, start: float) -> np.ndarray:
+    """The actuator pseudo-inverse, or a held extension where it finds no way."""
+    try:
+        seed = pseudo_inverse.resolve(problem.task, start, "actuator")
+        c, w, u = seed.at(problem.time)
+    except LeanboomError:
+        c = np.clip(start, problem.lower, problem.upper)
+        w = u = np.zeros_like(c)
+    c[0], w[0] = start, 0.0
+    return _complete(problem, c, w, u)
+
+
+def _motion(problem: stages.Problem, values: np.ndarray, cost: str) -> Motion:
+    ratio, joints = problem.crane.ratio, values.shape[1] // 3
+    velocity = ratio * values[:, 2 * joints - 1]
+    return motion.from_velocities(problem.step, ratio * float(values[0, joints - 1]), velocity, METHOD, cost)
+
+
+def _solve(work: _Work, sharpness: Sharpness, guess: np.ndarray, drawn: tuple | None) -> direct.Answer:
+    """Solve from a guess, (stages + 1, 3 joints), limits drawn in by the results of `_draw_in`."""
+    problem = work.problem
+    machine, count = problem.crane.machine, problem.stages + 1
+    joints = len(machine.joints)
+    level = [sharpness.sharpness, sharpness.maximum, sharpness.damping]
+    weight = np.append(np.full(count - 1, problem.step), 0.0)  # eq. (16)
+    parameters = np.column_stack([work.reference, weight, np.tile(level, (count, 1))])
+    lower = np.tile([joint.lower for joint in machine.joints], (count, 1))
+    upper = np.tile([joint.upper for joint in machine.joints], (count, 1))
+    velocity = np.tile([c.velocity_limit for c in machine.cylinders], (count, 1))
+    acceleration = np.tile([c.acceleration_limit for c in machine.cylinders], (count, 1))
+    if drawn is not None:
+        lower, upper = lower + drawn[0], upper - drawn[1]
+        velocity, acceleration = velocity - drawn[2], acceleration - drawn[3]
+    free = np.full((count, 2 * joints), np.inf)  # joint velocities and accelerations: their cylinders have the limits
+    low, high = np.hstack([lower, -free]), np.hstack([upper, free])
+    low[0, :joints] = high[0, :joints] = guess[0, :joints]
+    low[[0, -1], joints : 2 * joints] = high[[0, -1], joints : 2 * joints] = 0.0
+    low[-1, 2 * joints :] = high[-1, 2 * joints :] = 0.0
+    path = np.zeros((count, joints - 1))
+    path[[0, -1]] = np.inf  # crane and path are at rest there; nothing is free to correct the position
+    rows = np.hstack([path, velocity, acceleration])
+    return direct.optimise(work.program, guess, parameters, (low, high), (-rows, rows))
+
+
+def _draw_in(problem: stages.Problem, judged: Evaluation, drawn: tuple | None) -> tuple | None:
+    """By how much to draw in the limits at the stages, what was drawn in before included; None: nothing to do.
+
+    Returns:
+        Lower and upper joint positions, cylinder velocities, cylinder accelerations, each (stages + 1, joints).
+    """
+    machine = problem.crane.machine
+    lower, upper = (np.array([getattr(joint, end) for joint in machine.joints]) for end in ("lower", "upper"))
+    least = 0.5 * (direct.KEPT - 1.0) * (upper - lower)
+    below, above = lower - judged.joint_position, judged.joint_position - upper
+    time_, nodes = judged.time, problem.time
+    found = (
+        direct.around(np.where(below > least, below, 0.0), time_, nodes),
+        direct.around(np.where(above > least, above, 0.0), time_, nodes),
+        direct.exceeded(judged.velocity, [c.velocity_limit for c in machine.cylinders], time_, nodes),
+        direct.exceeded(judged.acceleration, [c.acceleration_limit for c in machine.cylinders], time_, nodes),
+    )
+    if judged.feasible or not any(np.any(amount > 0.0) for amount in found):
+        return None
+    found = tuple(DRAWN * amount for amount in found)
+    return found if drawn is None else tuple(old + new for old, new in zip(drawn, found, strict=True))

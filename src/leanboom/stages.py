@@ -8,13 +8,14 @@ alone prescribes (the base) are reduced to one flow and one pressure a stage.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 
 import numpy as np
 
 from leanboom import crane as cranes
 from leanboom import hydraulics, kernels, kinematics
-from leanboom.errors import InfeasibleError
+from leanboom.errors import InfeasibleError, InputError
 from leanboom.objective import COSTS
 from leanboom.task import Task, sample
 
@@ -275,3 +276,13 @@ def _distance_outside(problem: Problem, nodes: np.ndarray) -> np.ndarray:
             gaps = np.maximum(intervals[:, :1] - nodes[k], nodes[k] - intervals[:, 1:])
             outside[k] = np.maximum(0.0, gaps.min(axis=0))
     return outside
+
+
+def threads() -> int:
+    """Threads a sweep may use: LEANBOOM_THREADS where set, else the processors of this process."""
+    wanted = os.environ.get("LEANBOOM_THREADS", "")
+    if wanted:
+        if not wanted.isdigit() or int(wanted) < 1:
+            raise InputError(f"LEANBOOM_THREADS = {wanted}; must be a whole number from 1 on")
+        return int(wanted)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
