@@ -32,6 +32,8 @@ EDGE = replace(
     load_task("loader-triangle-small"), name="edge", path=Lines(((2.6, 0.0, 0.5), (3.2, 0.0, 1.1667)), (5.0,))
 )
 TASKS = {"vertical": VERTICAL, "slewing": SLEWING, "edge": EDGE}
+# On coarser grids the vertical path from the middle is planned 6 % dearer for LS than by the one-state program.
+GRIDS = {"vertical": (121, 61), "slewing": (41, 31), "edge": (41, 31)}
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -46,7 +48,7 @@ def _one_thread():
 @cache
 def ran(name: str, start: str, pump: str, method: str = "dp") -> planner.Plan:
     task = replace(TASKS[name], start=start)
-    return planner.run(task, pump=pump, method=method, grid=(121, 61), step=0.1)
+    return planner.run(task, pump=pump, method=method, grid=GRIDS[name], step=0.1)
 
 
 def moved_in_time(seconds: float) -> Task:

@@ -26,45 +26,31 @@ import numpy as np
 
 from leanboom import crane as cranes
 from leanboom import direct, motion, stages
-from leanboom.direct import Progress
+from leanboom.direct import Attempt, Drawn, Level, Progress
 from leanboom.errors import InputError
-from leanboom.judge import Evaluation, evaluate
+from leanboom.judge import evaluate
 from leanboom.motion import Motion
 from leanboom.task import Lines, Task, sample
 
 METHOD = "pseudospectral"
 STEP = 0.01  # [s], stages of the resulting motion
-REPAIRS = 4  # solves with limits drawn in where they are exceeded between the nodes
-CALMED = 3.0  # and with the damping raised by this factor, because a swing between nodes touches no limit at them
-DRAWN = 1.2  # limits are drawn in by this share of what they are exceeded by
 
-
-@dataclass(frozen=True, slots=True)
-class Level:
-    """One solve of a bootstrapped sequence: how finely, how sharply."""
-
-    nodes: int
-    sharpness: float  # s of eq. (39) [s/m]; [1/kW] where the step is over a cylinder's power
-    maximum: float  # e of eq. (42) [MPa^2]
-    damping: float  # weight of the squared control [kW s^4/m^2]: 1 m/s^2 costs as much as that power
-
-
-# Nodes of section 6.1, 3-DOF paper, "a higher number" for LS. The damping ends below 0.02 % of the energy; without it
-# the control swings between the nodes wherever the cost does not depend on it. The papers' s = 20000 s/m and
-# e = 1e-6 are where IPOPT stops converging.
+# Nodes of section 6.1, 3-DOF paper, and "a higher number" for LS. The damping ends below 0.1 % of the energy; without
+# it the control swings between the nodes wherever the cost does not depend on it. From the s = 20000 s/m and
+# e = 1e-6 of the papers IPOPT does not converge.
 LEVELS = {
     "cp": (
-        Level(20, 500.0, 1.0, 1.0),
-        Level(30, 1000.0, 1.0, 0.1),
-        Level(60, 2000.0, 1.0, 0.01),
-        Level(90, 5000.0, 1.0, 0.01),
+        Level(500.0, 1.0, 1.0, nodes=20),
+        Level(1000.0, 1.0, 0.1, nodes=30),
+        Level(2000.0, 1.0, 0.01, nodes=60),
+        Level(5000.0, 1.0, 0.01, nodes=90),
     ),
     "ls": (
-        Level(20, 500.0, 1.0, 1.0),
-        Level(30, 500.0, 1.0, 0.3),
-        Level(60, 500.0, 1.0, 0.1),
-        Level(90, 1000.0, 0.1, 0.03),
-        Level(120, 2000.0, 0.01, 0.01),
+        Level(500.0, 1.0, 1.0, nodes=20),
+        Level(500.0, 1.0, 0.3, nodes=30),
+        Level(500.0, 1.0, 0.1, nodes=60),
+        Level(1000.0, 0.1, 0.03, nodes=90),
+        Level(2000.0, 0.01, 0.01, nodes=120),
     ),
 }
 
@@ -178,28 +164,6 @@ def interpolate(tau: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarr
 # The crane's problem on these points.
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Work:
-    """A task made ready for collocation."""
-
-    task: Task
-    cost: str
-    start: float
-    problem: stages.Problem  # on the stages of the resulting motion
-    functions: direct.NodeFunctions
-    edges: np.ndarray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solved:
-    """A level's motion, judged, and how IPOPT ended."""
-
-    judged: Evaluation
-    points: Mesh
-    converged: bool
-    text: str
-
-
 def plan(task: Task, cost: str, start: float, progress: Progress | None = None) -> Motion:
     """Plan a task by bootstrapped pseudospectral collocation, from a held extension as the first guess.
 
@@ -221,40 +185,24 @@ def plan(task: Task, cost: str, start: float, progress: Progress | None = None) 
     if cost not in LEVELS:
         raise InputError(f"method {METHOD} minimises {' or '.join(LEVELS)}, not {cost}")
     began = time.perf_counter()
-    tell = progress or (lambda text, share: None)
     problem = stages.discretise(task, STEP)
     functions = direct.node_functions(3, 13, _node(problem.crane, problem.moving, cost))
     corners = np.cumsum(task.path.durations) if isinstance(task.path, Lines) else np.array([task.duration])
-    work = _Work(task, cost, start, problem, functions, np.concatenate([[0.0], corners]))
-    held = np.clip(start, problem.lower, problem.upper)
-    guess = motion.make(problem.step, held, 0.0 * held, 0.0 * held[1:], METHOD, cost)
-    best, last, log = None, None, []
-    # The last level again and again while there is a limit to be drawn in.
-    finest = LEVELS[cost][-1]
-    repairs = [replace(finest, damping=finest.damping * CALMED**n) for n in range(1, REPAIRS + 1)]
-    levels = (*LEVELS[cost], *repairs)
-    drawn = None
-    for i, level in enumerate(levels):
-        if i >= len(LEVELS[cost]):
-            assert last is not None
-            drawn = _draw_in(work, last, drawn)
-            if drawn is None:
-                break
-        tell(f"{level.nodes} nodes", min(1.0, i / len(LEVELS[cost])))
-        last = _solve(work, level, guess, drawn)
-        guess = last.judged.motion  # also unconverged: the next level may do better from there
-        log.append(
-            f"{time.perf_counter() - began:6.2f} s  {last.points.time.size - 1} nodes, s = {level.sharpness:g} s/m: "
-            f"{last.text}, judged {last.judged.energy(cost) / 1e3:.4f} kJ, {last.judged.status}"
-        )
-        if last.converged and (best is None or direct.better(last.judged, best, cost)):
-            best = last.judged
-    assert last is not None
-    result = replace(guess, status=f"not converged: {last.text}") if best is None else best.motion
-    if best is not None and not best.feasible:
-        result = replace(result, status=best.status)
-    tell("done", 1.0)
-    return replace(result, solve_s=time.perf_counter() - began, log=tuple(log))
+    edges = np.concatenate([[0.0], corners])
+
+    def solve(level: Level, guess: Attempt | None, drawn: Drawn) -> Attempt:
+        return _solve(problem, functions, mesh(edges, level.nodes), level, seed(guess), drawn)
+
+    def seed(guess: Attempt | None) -> Motion:
+        if guess is not None:
+            return guess.judged.motion
+        held = np.clip(start, problem.lower, problem.upper)
+        held[0] = start
+        return motion.make(problem.step, held, 0.0 * held, 0.0 * held[1:], METHOD, cost)
+
+    tell = progress or (lambda text, share: None)
+    result = direct.bootstrap(LEVELS[cost], solve, lambda attempt: _draw_in(problem, attempt), cost, tell)
+    return replace(result, solve_s=time.perf_counter() - began)
 
 
 def _node(crane: cranes.Crane, moving: slice, cost: str) -> Callable[[Any, Any], tuple[Any, Any]]:
@@ -272,12 +220,17 @@ def _node(crane: cranes.Crane, moving: slice, cost: str) -> Callable[[Any, Any],
     return node
 
 
-def _solve(work: _Work, level: Level, guess: Motion, drawn: tuple | None) -> _Solved:
-    """Solve one level from a guess, its limits drawn in by the results of `_draw_in`."""
-    task, problem = work.task, work.problem
-    points = mesh(work.edges, level.nodes)
+def _solve(
+    problem: stages.Problem,
+    functions: direct.NodeFunctions,
+    points: Mesh,
+    level: Level,
+    guess: Motion,
+    drawn: Drawn,
+) -> Attempt:
+    """Solve one level from a guess that starts where the motion shall, limits drawn in as `_draw_in` says."""
     count = points.time.size
-    plane = cranes.plane(task.machine, sample(task, points.time))
+    plane = cranes.plane(problem.task.machine, sample(problem.task, points.time))
     columns = [getattr(plane, field.name) for field in fields(plane)]
     columns += [points.weight, level.sharpness, level.maximum, level.damping]
     parameters = np.stack(np.broadcast_arrays(*columns), axis=1)
@@ -291,44 +244,32 @@ def _solve(work: _Work, level: Level, guess: Motion, drawn: tuple | None) -> _So
         velocity, acceleration = velocity - drawn[1], acceleration - drawn[2]
     low = np.stack([lowest, -velocity[:, -1], -acceleration[:, -1]], axis=1)
     high = np.stack([highest, velocity[:, -1], acceleration[:, -1]], axis=1)
-    low[0, 0] = high[0, 0] = work.start
+    start = float(guess.position[0])
+    low[0, 0] = high[0, 0] = start
     low[[0, -1], 1] = high[[0, -1], 1] = 0.0
     low[-1, 2] = high[-1, 2] = 0.0  # the end is no point: nothing depends on its control
     rows = np.concatenate([velocity[:, :-1], acceleration[:, :-1]], axis=1)
-    c, w, u = guess.at(points.time)
-    program = direct.assemble(work.functions, count, double_integrator(points, 3))
-    answer = direct.optimise(program, np.stack([c, w, u], axis=1), parameters, (low, high), (-rows, rows))
+    first = np.stack(guess.at(points.time), axis=1)
+    program = direct.assemble(functions, count, double_integrator(points, 3))
+    answer = direct.optimise(program, first, parameters, (low, high), (-rows, rows))
     speed = points.at(answer.values[:, 1], problem.time)
     speed[[0, -1]] = 0.0
-    found = motion.from_velocities(problem.step, work.start, speed, METHOD, work.cost)
-    return _Solved(evaluate(task, found), points, answer.converged, answer.text)
+    found = motion.from_velocities(problem.step, start, speed, METHOD, guess.cost)
+    return Attempt(evaluate(problem.task, found), answer, points.time)
 
 
-def _draw_in(work: _Work, solved: _Solved, drawn: tuple | None) -> tuple | None:
-    """By how much to draw in the limits at the nodes, what was drawn in before included; None: nothing to do.
+def _draw_in(problem: stages.Problem, attempt: Attempt) -> Drawn:
+    """By how much to draw in the limits at the nodes; None: nothing to do.
 
     Returns:
         Lower and upper position [m], (nodes, 2); velocities [m/s] and accelerations [m/s^2], (nodes, moving).
     """
-    judged, problem, nodes = solved.judged, work.problem, solved.points.time
+    judged = attempt.judged
     c = judged.length[:, -1]
-    outside = np.stack(
-        [
-            np.interp(judged.time, problem.time, problem.lower) - c,
-            c - np.interp(judged.time, problem.time, problem.upper),
-        ],
-        axis=1,
-    )
-    stroke = np.ptp(stages.stroke_range(work.task))
-    cylinders = problem.crane.machine.cylinders
-    found = (
-        direct.around(np.where(outside > 0.5 * (direct.KEPT - 1.0) * stroke, outside, 0.0), judged.time, nodes),
-        direct.exceeded(judged.velocity, [c.velocity_limit for c in cylinders], judged.time, nodes)[:, problem.moving],
-        direct.exceeded(judged.acceleration, [c.acceleration_limit for c in cylinders], judged.time, nodes)[
-            :, problem.moving
-        ],
-    )
-    if judged.feasible or not any(np.any(amount > 0.0) for amount in found):
-        return None
-    found = tuple(DRAWN * amount for amount in found)
-    return found if drawn is None else tuple(old + new for old, new in zip(drawn, found, strict=True))
+    below = np.interp(judged.time, problem.time, problem.lower) - c
+    outside = np.stack([below, c - np.interp(judged.time, problem.time, problem.upper)], axis=1)
+    least = 0.5 * (direct.KEPT - 1.0) * np.ptp(stages.stroke_range(problem.task))
+    position = direct.around(np.where(outside > least, direct.DRAWN * outside, 0.0), judged.time, attempt.nodes)
+    velocity, acceleration = direct.exceeded(judged, attempt.nodes)
+    amounts = position, velocity[:, problem.moving], acceleration[:, problem.moving]
+    return None if judged.feasible or not any(np.any(amount > 0.0) for amount in amounts) else amounts

@@ -11,8 +11,10 @@ The program is: least sum of the nodes' costs, rows of each node within bounds, 
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -20,8 +22,12 @@ import numpy as np
 from leanboom import crane as cranes
 from leanboom import hydraulics
 from leanboom.judge import Evaluation
+from leanboom.motion import Motion
 
 KILO, MEGA = 1e-3, 1e-6  # power in kW, pressure in MPa
+REPAIRS = 4  # solves with limits drawn in where they are exceeded between the nodes
+DRAWN = 1.2  # by this share of what they are exceeded by
+CALMED = 3.0  # and with the damping raised by this factor: a swing between nodes touches no limit at them
 KEPT = 1.0005  # a limit used up to this needs no repair; half of what the judge tolerates
 IPOPT = {
     "print_level": 0,
@@ -66,15 +72,17 @@ def smooth_power(
         The power [kW].
     """
     pump, epsilon = crane.machine.pump, crane.machine.driven_velocity
-    flow, supply = 0.0, None
+    flow, pressures = 0.0, []
     for v, force, d in zip(moving.velocity, cranes.forces(pose, moving), crane.drives, strict=True):
         out, back = smooth_heaviside(v, sharpness), smooth_heaviside(-v, sharpness)
         flow = flow + v * (d.area_out * out - d.area_in * back)  # eq. (37)
         pressure = (d.gain_out * force + d.back_out) * smooth_heaviside(v - epsilon, sharpness)
         pressure = pressure + (d.back_in - d.gain_in * force) * smooth_heaviside(-v - epsilon, sharpness)
-        pressure = MEGA * pressure * smooth_heaviside(KILO * force * v, sharpness)  # eq. (41)
-        supply = pressure if supply is None else smooth_maximum(supply, pressure, small)
-    supply = pump.constant_pressure * MEGA if cost == "cp" else supply + pump.ls_margin * MEGA  # eq. (40)
+        pressures.append(MEGA * pressure * smooth_heaviside(KILO * force * v, sharpness))  # eq. (41)
+    if cost == "cp":
+        supply = MEGA * pump.constant_pressure
+    else:
+        supply = reduce(lambda a, b: smooth_maximum(a, b, small), pressures) + MEGA * pump.ls_margin  # eq. (40)
     return hydraulics.pump_power(supply, flow * KILO / MEGA, pump.efficiency)
 
 
@@ -119,6 +127,10 @@ def node_functions(size: int, parameters: int, node: Callable[[Any, Any], tuple[
     def nonzeros(matrix):
         return ca.vertcat(*[matrix.nz[i] for i in range(matrix.nnz())], ca.SX(0, 1))
 
+    def places(matrix):
+        row, column = matrix.sparsity().get_triplet()
+        return np.array(row, dtype=np.int64), np.array(column, dtype=np.int64)
+
     return NodeFunctions(
         size,
         rows.numel(),
@@ -127,8 +139,8 @@ def node_functions(size: int, parameters: int, node: Callable[[Any, Any], tuple[
         function("gradient", [x, p], [ca.gradient(cost, x)]),
         function("jacobian", [x, p], [nonzeros(jacobian)]),
         function("hessian", [x, p, sigma, lam], [nonzeros(hessian)]),
-        tuple(np.array(places, dtype=np.int64) for places in jacobian.sparsity().get_triplet()),
-        tuple(np.array(places, dtype=np.int64) for places in hessian.sparsity().get_triplet()),
+        places(jacobian),
+        places(hessian),
     )
 
 
@@ -224,7 +236,89 @@ def optimise(solver: Any, guess: np.ndarray, parameters: np.ndarray, bounds: tup
     return Answer(np.array(answer["x"]).reshape(guess.shape), bool(stats["success"]), text)
 
 
-# Motions that go beyond limits between the nodes.
+# A sequence of programs, and limits exceeded between the nodes.
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """One solve of a bootstrapped sequence: how finely, how sharply."""
+
+    sharpness: float  # s of eq. (39) [s/m]; [1/kW] where the step is over a cylinder's power
+    maximum: float  # e of eq. (42) [MPa^2]
+    damping: float  # weight of the squared extension acceleration [kW s^4/m^2]
+    nodes: int = 0  # about how many points; 0: one a stage
+
+    def __str__(self) -> str:
+        return (f"{self.nodes} nodes, " if self.nodes else "") + f"s = {self.sharpness:g} s/m"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Attempt:
+    """A level's motion, judged."""
+
+    judged: Evaluation
+    answer: Answer
+    nodes: np.ndarray  # their times [s], (nodes,)
+
+
+Drawn = tuple[np.ndarray, ...] | None  # by how much limits are drawn in at the nodes
+Solve = Callable[[Level, Attempt | None, Drawn], Attempt]
+DrawIn = Callable[[Attempt], Drawn]
+
+
+def bootstrap(levels: tuple[Level, ...], solve: Solve, draw_in: DrawIn, cost: str, tell: Progress) -> Motion:
+    """Solve level after level, each from the one before, then the last with limits drawn in where it exceeds them.
+
+    Args:
+        levels: From coarse and smooth to fine and sharp.
+        solve: Solves a level from an attempt (None: the first guess), with limits drawn in.
+        draw_in: By how much an attempt asks for limits to be drawn in; None: nothing to do.
+        cost: "ls" or "cp".
+        tell: Called with what happens and the share done.
+
+    Returns:
+        The cheapest by the judge of the motions that converged and keep all limits. Status and log as `plan` of the
+        methods promises.
+    """
+    began = time.perf_counter()
+    best: Evaluation | None = None
+    settled: tuple[Level, Attempt] | None = None
+    log: list[str] = []
+
+    def attempt(level: Level, guess: Attempt | None, drawn: Drawn) -> Attempt:
+        nonlocal best, settled
+        made = solve(level, guess, drawn)
+        seconds, energy = time.perf_counter() - began, made.judged.energy(cost)
+        log.append(f"{seconds:6.2f} s  {level}: {made.answer.text}, judged {energy:.6g} J, {made.judged.status}")
+        if made.answer.converged:
+            settled = level, made
+            if best is None or better(made.judged, best, cost):
+                best = made.judged
+        return made
+
+    last = None
+    for i, level in enumerate(levels):
+        tell(str(level), i / len(levels))
+        last = attempt(level, settled[1] if settled is not None else last, None)
+    drawn = None
+    for _ in range(REPAIRS):
+        more = draw_in(settled[1]) if settled is not None else None
+        if settled is None or more is None or not settled[1].answer.converged:
+            break
+        tell("limits drawn in", 1.0)
+        before = drawn
+        drawn = more if before is None else tuple(old + new for old, new in zip(before, more, strict=True))
+        level = replace(settled[0], damping=settled[0].damping * CALMED)
+        last = attempt(level, settled[1], drawn)
+        if not last.answer.converged:
+            break
+    tell("done", 1.0)
+    assert last is not None
+    if best is None:
+        result = replace(last.judged.motion, status=f"not converged: {last.answer.text}")
+    else:
+        result = best.motion if best.feasible else replace(best.motion, status=best.status)
+    return replace(result, solve_s=time.perf_counter() - began, log=tuple(log))
 
 
 def better(one: Evaluation, other: Evaluation, cost: str) -> bool:
@@ -236,20 +330,25 @@ def better(one: Evaluation, other: Evaluation, cost: str) -> bool:
     return one.energy(cost) < other.energy(cost)
 
 
-def exceeded(values: np.ndarray, limits: list[float], time: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """How far sampled values go beyond limits around each node, 0 where less than `KEPT` of the limit is used.
+def exceeded(judged: Evaluation, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far to draw in the limits of cylinder velocity and acceleration around each node.
 
     Args:
-        values: (samples, joints).
-        limits: The same limit both ways, one a joint.
-        time: Of the samples [s], (samples,).
+        judged: The motion that exceeds them.
         nodes: Times of the nodes [s], (nodes,).
 
     Returns:
-        The amounts, (nodes, joints).
+        Amounts [m/s] and [m/s^2], (nodes, joints) each; 0 where no more than `KEPT` of the limit is used.
     """
-    bound = np.array(limits)
-    return around(np.where(np.abs(values) > KEPT * bound, np.abs(values) - bound, 0.0), time, nodes)
+    amounts = []
+    cylinders = judged.task.machine.cylinders
+    for values, limits in (
+        (judged.velocity, [c.velocity_limit for c in cylinders]),
+        (judged.acceleration, [c.acceleration_limit for c in cylinders]),
+    ):
+        bound = np.array(limits)
+        amounts.append(np.where(np.abs(values) > KEPT * bound, DRAWN * (np.abs(values) - bound), 0.0))
+    return around(amounts[0], judged.time, nodes), around(amounts[1], judged.time, nodes)
 
 
 def around(values: np.ndarray, time: np.ndarray, nodes: np.ndarray) -> np.ndarray:

@@ -196,42 +196,55 @@ class _Run:
         )
 
     def dynamic_program(self) -> Evaluation:
-        """Design points 1 to 8: coarse sweep, tubes, polish, judge."""
-        self.tell("coarse dynamic program", 0.05)
+        """Design points 1 to 8: coarse sweeps, tubes, polish, judge."""
         problem = stages.discretise(self.task, self.step)
         start = dp.start_position(problem, self.task.start)
-        coarse = dp.solve(problem, stages.full_grid(problem, *self.grid), self.cost)
-        free = start is None
-        start = dp.best_start(coarse) if start is None else start
-        self.judge(dp.rollout(coarse, start), f"coarse {coarse.grid.positions}x{coarse.grid.velocities}")
-        del coarse
         low, high = stages.stroke_range(self.task)
         width = TUBE_WIDTH * (high - low) / (self.grid[0] - 1)
         spread = TUBE_SPREAD * 2.0 * problem.crane.machine.redundant.velocity_limit / (self.grid[1] - 1)
-        first = None if free else start
-        self.tubes(problem, first, width, spread, TUBE_LEVELS)
+        for basin, (cost, share) in enumerate(self.basins()):
+            self.tell(f"coarse dynamic program {basin + 1}", 0.05 + 0.35 * basin)
+            grid = stages.full_grid(problem, *(max(3, size // share) for size in self.grid))
+            coarse = dp.solve(problem, grid, cost)
+            first = dp.best_start(coarse) if start is None else start
+            name = f"coarse {grid.positions}x{grid.velocities} for {cost}"
+            seed = self.judge(dp.rollout(coarse, first), name)
+            del coarse
+            self.tubes(problem, seed, start, width, spread, TUBE_LEVELS)
+        free = start is None
         if self.polish(problem, free):
             # The polish moved on from where its seed's modes came from: look around it once more.
-            self.tubes(problem, first, width / 4.0, spread / 4.0, TUBE_LEVELS - 2)
+            assert self.best is not None
+            self.tubes(problem, self.best, start, width / 4.0, spread / 4.0, TUBE_LEVELS - 2)
             self.polish(problem, free)
-        if not free:
+        if start is not None:
             self.fall_back(problem, start)
         assert self.best is not None
         return self.best
 
-    def tubes(self, problem: Problem, start: float | None, width: float, spread: float, levels: int) -> None:
-        """Solve again on tubes around the best motion, halved each level, while the judged cost falls."""
+    def basins(self) -> list[tuple[str, int]]:
+        """Coarse programs whose motions are refined: cost, and how many times coarser than the grid asked for.
+
+        LS has several valleys. The flow-optimal one is cheap to find and at times leads to the better of them.
+        """
+        return [(self.cost, 1), ("cp", 2)] if self.cost == "ls" else [(self.cost, 1)]
+
+    def tubes(
+        self, problem: Problem, chain: Evaluation, start: float | None, width: float, spread: float, levels: int
+    ) -> None:
+        """Solve again on tubes around a chain of better and better motions, halved while the judged cost falls."""
         for level in range(levels):
             self.tell(f"tube {level + 1} of {levels}", 0.4 + 0.3 * level / levels)
             for _ in range(TUBE_REPEATS):
-                assert self.best is not None
-                before = judged_cost(self.best, self.cost)
-                seed = _on_stages(self.best.motion, problem)
+                before = judged_cost(chain, self.cost)
+                seed = _on_stages(chain.motion, problem)
                 tube = stages.tube_grid(problem, seed.position, seed.velocity, width, spread, *TUBE)
                 policy = dp.solve(problem, tube, self.cost)
                 first = dp.best_start(policy) if start is None else start
-                self.judge(dp.rollout(policy, first), f"tube of {width:.4f} m, {spread:.4f} m/s")
-                if judged_cost(self.best, self.cost) >= before * (1.0 - REPEAT):
+                found = self.judge(dp.rollout(policy, first), f"tube of {width:.4f} m, {spread:.4f} m/s")
+                if beats(found, chain, self.cost):
+                    chain = found
+                if judged_cost(chain, self.cost) >= before * (1.0 - REPEAT):
                     break
             width, spread = 0.5 * width, 0.5 * spread
 
@@ -281,7 +294,7 @@ class _Run:
         """Never worse than the pseudo-inverse: refine from it where it beats the dynamic program."""
         other = self.baseline(start)
         assert self.best is not None
-        if other is None or not self.better(other):
+        if other is None or not beats(other, self.best, self.cost):
             return
         self.best = other
         self.note(f"the pseudo-inverse is better: {judged_cost(other, self.cost):.4g}; refining from it")
@@ -296,20 +309,13 @@ class _Run:
         except LeanboomError:
             return None
 
-    def better(self, other: Evaluation) -> bool:
-        """Whether a judged motion beats the best so far: feasible first, then cheaper."""
-        if self.best is None or other.feasible != self.best.feasible:
-            return self.best is None or other.feasible
-        if not other.feasible:
-            return other.limit_use.worst < self.best.limit_use.worst
-        return judged_cost(other, self.cost) < judged_cost(self.best, self.cost)
-
-    def judge(self, candidate: Motion, name: str) -> None:
+    def judge(self, candidate: Motion, name: str) -> Evaluation:
         """Measure a candidate, note it, keep it if it is the best."""
         judged = evaluate(self.task, candidate)
         self.note(f"{name}: {judged_cost(judged, self.cost):.6g}, {judged.status}")
-        if self.better(judged):
+        if self.best is None or beats(judged, self.best, self.cost):
             self.best = judged
+        return judged
 
     def note(self, text: str) -> None:
         """Add a line to the log."""
@@ -325,6 +331,15 @@ class _Run:
             f"no feasible motion: {best.status}; the path needs at least about "
             f"{factor * self.task.duration:.2f} s instead of {self.task.duration:.2f} s"
         )
+
+
+def beats(one: Evaluation, other: Evaluation, cost: str) -> bool:
+    """Whether a judged motion is better than another: feasible first, then cheaper."""
+    if one.feasible != other.feasible:
+        return one.feasible
+    if not one.feasible:
+        return one.limit_use.worst < other.limit_use.worst
+    return judged_cost(one, cost) < judged_cost(other, cost)
 
 
 def _on_stages(seed: Motion, problem: Problem) -> Motion:

@@ -33,31 +33,18 @@ import numpy as np
 
 from leanboom import crane as cranes
 from leanboom import direct, kinematics, motion, pseudo_inverse, stages
-from leanboom.direct import Progress
+from leanboom.direct import Attempt, Drawn, Level, Progress
 from leanboom.errors import InputError, LeanboomError
-from leanboom.judge import Evaluation, evaluate
+from leanboom.judge import evaluate
 from leanboom.motion import Motion
 from leanboom.task import Task
 
 METHOD = "shooting"
 STEP = 0.05  # [s]
 RETURN = 0.5  # [s], t_r
-REPAIRS = 4  # solves with limits drawn in where they are exceeded between the stages
-DRAWN = 1.2  # limits are drawn in by this share of what they are exceeded by
-
-
-@dataclass(frozen=True, slots=True)
-class Sharpness:
-    """One solve of a sequence: how sharply."""
-
-    sharpness: float  # s of eq. (29) [s/m]; [1/kW] where the step is over a cylinder's power
-    maximum: float  # e of eq. (36) [MPa^2]
-    damping: float  # weight of the squared extension acceleration [kW s^4/m^2]
-
-
-SEQUENCE = {
-    "cp": (Sharpness(500.0, 1.0, 0.1), Sharpness(5000.0, 1.0, 0.01)),
-    "ls": (Sharpness(500.0, 1.0, 0.1), Sharpness(1000.0, 0.1, 0.03), Sharpness(2000.0, 0.01, 0.01)),
+LEVELS = {
+    "cp": (Level(500.0, 1.0, 0.1), Level(2000.0, 1.0, 0.01)),
+    "ls": (Level(500.0, 1.0, 0.1), Level(1000.0, 0.1, 0.03), Level(2000.0, 0.01, 0.01)),
 }
 
 
@@ -79,38 +66,19 @@ def plan(task: Task, cost: str, start: float, progress: Progress | None = None) 
         InputError: If the cost is another one.
         InfeasibleError: If some point of the path cannot be reached.
     """
-    if cost not in SEQUENCE:
-        raise InputError(f"method {METHOD} minimises {' or '.join(SEQUENCE)}, not {cost}")
+    if cost not in LEVELS:
+        raise InputError(f"method {METHOD} minimises {' or '.join(LEVELS)}, not {cost}")
     began = time.perf_counter()
+    work = _prepare(stages.discretise(task, STEP), cost)
+    first = _first_guess(work.problem, start)
+
+    def solve(level: Level, guess: Attempt | None, drawn: Drawn) -> Attempt:
+        answer = _solve(work, level, first if guess is None else guess.answer.values, drawn)
+        return Attempt(evaluate(task, _motion(work.problem, answer.values, cost)), answer, work.problem.time)
+
     tell = progress or (lambda text, share: None)
-    problem = stages.discretise(task, STEP)
-    work = _prepare(problem, cost)
-    values = _first_guess(problem, start)
-    best, last, drawn, log, answer = None, None, None, [], None
-    finest = SEQUENCE[cost][-1]
-    for i, sharpness in enumerate((*SEQUENCE[cost], *[finest] * REPAIRS)):
-        if i >= len(SEQUENCE[cost]):
-            assert last is not None
-            drawn = _draw_in(problem, last, drawn)
-            if drawn is None:
-                break
-        tell(f"s = {sharpness.sharpness:g} s/m", min(1.0, i / len(SEQUENCE[cost])))
-        answer = _solve(work, sharpness, values, drawn)
-        values = answer.values
-        last = evaluate(task, _motion(problem, values, cost))
-        log.append(
-            f"{time.perf_counter() - began:6.2f} s  s = {sharpness.sharpness:g} s/m: {answer.text}, "
-            f"judged {last.energy(cost) / 1e3:.4f} kJ, {last.status}"
-        )
-        if answer.converged and (best is None or direct.better(last, best, cost)):
-            best = last
-    assert last is not None
-    if best is None:
-        result = replace(last.motion, status=f"not converged: {answer.text}")
-    else:
-        result = best.motion if best.feasible else replace(best.motion, status=best.status)
-    tell("done", 1.0)
-    return replace(result, solve_s=time.perf_counter() - began, log=tuple(log))
+    result = direct.bootstrap(LEVELS[cost], solve, _draw_in, cost, tell)
+    return replace(result, solve_s=time.perf_counter() - began)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,16 +123,21 @@ def integrators(count: int, joints: int, step: float) -> tuple:
 
 
 def forward(crane: cranes.Crane, q: list, v: list, u: list) -> cranes.Plane:
-    """The tool of given joint motion in the boom's plane, eqs. (4)-(9); eqs. (5)-(8), 3-DOF."""
+    """The tool of given joint motion in the boom's plane: eqs. (4)-(9); eqs. (5)-(8), 3-DOF.
+
+    Args:
+        crane: The crane.
+        q, v, u: Positions, velocities and accelerations of all joints, in joint order.
+    """
     g = crane.machine.geometry
-    planar = q[-3:]
-    r, z = kinematics.tool_point(*planar, g.base_x, g.base_z, g.boom, g.offset, g.outer)
-    jacobian = kinematics.jacobian(*planar, g.boom, g.offset, g.outer)
-    br, bz = kinematics.velocity_product(*planar, *v[-3:], g.boom, g.offset, g.outer)
-    base = [q[0], v[0], u[0]] if g.slewing else [0.0, 0.0, 0.0]
-    vr, ar = (sum(k * x for k, x in zip(jacobian[:3], xs[-3:], strict=True)) for xs in (v, u))
-    vz, az = (sum(k * x for k, x in zip(jacobian[3:], xs[-3:], strict=True)) for xs in (v, u))
-    return cranes.Plane(r, z, vr, vz, ar + br, az + bz, *base)
+    (q2, q3, q4), (v2, v3, v4), (u2, u3, u4) = q[-3:], v[-3:], u[-3:]
+    r, z = kinematics.tool_point(q2, q3, q4, g.base_x, g.base_z, g.boom, g.offset, g.outer)
+    r2, r3, r4, z2, z3, z4 = kinematics.jacobian(q2, q3, q4, g.boom, g.offset, g.outer)
+    br, bz = kinematics.velocity_product(q2, q3, q4, v2, v3, v4, g.boom, g.offset, g.outer)
+    vr, vz = r2 * v2 + r3 * v3 + r4 * v4, z2 * v2 + z3 * v3 + z4 * v4
+    ar, az = r2 * u2 + r3 * u3 + r4 * u4 + br, z2 * u2 + z3 * u3 + z4 * u4 + bz
+    q1, v1, u1 = (q[0], v[0], u[0]) if g.slewing else (0.0, 0.0, 0.0)
+    return cranes.Plane(r, z, vr, vz, ar, az, q1, v1, u1)
 
 
 def _node(crane: cranes.Crane, cost: str) -> Callable[[Any, Any], tuple[Any, Any]]:
@@ -216,14 +189,14 @@ def _motion(problem: stages.Problem, values: np.ndarray, cost: str) -> Motion:
     return motion.from_velocities(problem.step, ratio * float(values[0, joints - 1]), velocity, METHOD, cost)
 
 
-def _solve(work: _Work, sharpness: Sharpness, guess: np.ndarray, drawn: tuple | None) -> direct.Answer:
+def _solve(work: _Work, level: Level, guess: np.ndarray, drawn: Drawn) -> direct.Answer:
     """Solve from a guess, (stages + 1, 3 joints), limits drawn in by the results of `_draw_in`."""
     problem = work.problem
     machine, count = problem.crane.machine, problem.stages + 1
     joints = len(machine.joints)
-    level = [sharpness.sharpness, sharpness.maximum, sharpness.damping]
+    smoothing = [level.sharpness, level.maximum, level.damping]
     weight = np.append(np.full(count - 1, problem.step), 0.0)  # eq. (16)
-    parameters = np.column_stack([work.reference, weight, np.tile(level, (count, 1))])
+    parameters = np.column_stack([work.reference, weight, np.tile(smoothing, (count, 1))])
     lower = np.tile([joint.lower for joint in machine.joints], (count, 1))
     upper = np.tile([joint.upper for joint in machine.joints], (count, 1))
     velocity = np.tile([c.velocity_limit for c in machine.cylinders], (count, 1))
@@ -242,24 +215,19 @@ def _solve(work: _Work, sharpness: Sharpness, guess: np.ndarray, drawn: tuple | 
     return direct.optimise(work.program, guess, parameters, (low, high), (-rows, rows))
 
 
-def _draw_in(problem: stages.Problem, judged: Evaluation, drawn: tuple | None) -> tuple | None:
-    """By how much to draw in the limits at the stages, what was drawn in before included; None: nothing to do.
+def _draw_in(attempt: Attempt) -> Drawn:
+    """By how much to draw in the limits at the stages; None: nothing to do.
 
     Returns:
         Lower and upper joint positions, cylinder velocities, cylinder accelerations, each (stages + 1, joints).
     """
-    machine = problem.crane.machine
-    lower, upper = (np.array([getattr(joint, end) for joint in machine.joints]) for end in ("lower", "upper"))
+    judged = attempt.judged
+    joints = judged.task.machine.joints
+    lower, upper = (np.array([getattr(joint, end) for joint in joints]) for end in ("lower", "upper"))
     least = 0.5 * (direct.KEPT - 1.0) * (upper - lower)
-    below, above = lower - judged.joint_position, judged.joint_position - upper
-    time_, nodes = judged.time, problem.time
-    found = (
-        direct.around(np.where(below > least, below, 0.0), time_, nodes),
-        direct.around(np.where(above > least, above, 0.0), time_, nodes),
-        direct.exceeded(judged.velocity, [c.velocity_limit for c in machine.cylinders], time_, nodes),
-        direct.exceeded(judged.acceleration, [c.acceleration_limit for c in machine.cylinders], time_, nodes),
-    )
-    if judged.feasible or not any(np.any(amount > 0.0) for amount in found):
-        return None
-    found = tuple(DRAWN * amount for amount in found)
-    return found if drawn is None else tuple(old + new for old, new in zip(drawn, found, strict=True))
+    positions = [
+        direct.around(np.where(outside > least, direct.DRAWN * outside, 0.0), judged.time, attempt.nodes)
+        for outside in (lower - judged.joint_position, judged.joint_position - upper)
+    ]
+    amounts = (*positions, *direct.exceeded(judged, attempt.nodes))
+    return None if judged.feasible or not any(np.any(amount > 0.0) for amount in amounts) else amounts

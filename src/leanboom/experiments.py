@@ -1,0 +1,429 @@
+"""The papers' experiments: which solutions each needs, and what is read off them.
+
+An experiment is its jobs, by name, and a function from their records to lines that stand beside the printed values.
+Jobs of several experiments that agree are solved once. All solutions start and are filtered (5 Hz, after planning) as
+in the papers; the grids are those of `plan`, but for the convergence studies and the sweep of the sensitivity study.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from math import pi
+from typing import Any
+
+from leanboom import files, printed
+from leanboom.machine import Machine, Triangle
+from leanboom.task import Lines, Task
+
+GRID = (201, 101)
+SWEEP_GRID = (121, 61)
+CONVERGENCE = ((21, 11), (41, 21), (81, 41), (125, 101), (161, 101), (241, 151), (321, 201))
+SIZES = ("large", "medium", "small")
+PATHS = ("horizontal", "vertical", "half-cycle")
+STARTS = ("smallest", "middle")
+PUMPS = {"ls": "energy_ls_j", "cp": "energy_cp_j"}
+COARSE = "coarse"  # one sweep on one grid: no tubes, no polish
+
+Record = Mapping[str, Any]
+Records = Mapping[str, Record]
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """A solution that an experiment needs."""
+
+    task: Task
+    method: str  # a name of `planner.METHODS`, or COARSE
+    cost: str
+    grid: tuple[int, int] = GRID
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A printed value and ours; either may be missing."""
+
+    experiment: str
+    row: str
+    printed: float | None
+    ours: float | None
+    why: str = ""  # why they differ, or why there is none of ours
+
+    @property
+    def difference(self) -> float | None:
+        """Ours less printed."""
+        return None if self.ours is None or self.printed is None else self.ours - self.printed
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """One table, figure or claim of the papers."""
+
+    title: str
+    jobs: Callable[[], dict[str, Job]]
+    lines: Callable[[Records], list[Line]]
+
+
+def ratio(over: Record, under: Record, quantity: str) -> float | None:
+    """One solution's quantity over another's; None where either has none.
+
+    Args:
+        over, under: Records.
+        quantity: A key of both.
+    """
+    a, b = over[quantity], under[quantity]
+    return None if a is None or not b else a / b
+
+
+def percent(new: Record, old: Record, quantity: str) -> float | None:
+    """Change from one solution to another in percent; None where either has none.
+
+    Args:
+        new, old: Records.
+        quantity: A key of both.
+    """
+    change = ratio(new, old, quantity)
+    return None if change is None else 100.0 * (change - 1.0)
+
+
+# Variations of machines and tasks.
+
+
+def resized(machine: Machine, name: str, bore: float, rod: float) -> Machine:
+    """A machine with another cylinder.
+
+    Args:
+        machine: The machine.
+        name: Name of the cylinder.
+        bore, rod: Its diameters [m].
+    """
+    areas = {"piston_area": 0.25 * pi * bore**2, "rod_side_area": 0.25 * pi * (bore**2 - rod**2)}
+    cylinders = tuple(replace(c, **areas) if c.name == name else c for c in machine.cylinders)
+    return replace(machine, cylinders=cylinders)
+
+
+def heavier(task: Task, factor: float) -> Task:
+    """A task whose machine and payload have `factor` times the mass."""
+    bodies = tuple(replace(b, mass=factor * b.mass, inertia=factor * b.inertia) for b in task.machine.bodies)
+    return replace(task, machine=replace(task.machine, bodies=bodies), payload=factor * task.payload)
+
+
+def rubbed(task: Task, factor: float) -> Task:
+    """A task whose machine has `factor` times the friction."""
+    cylinders = []
+    for cylinder in task.machine.cylinders:
+        rub = cylinder.friction
+        rub = replace(rub, coulomb=factor * rub.coulomb, viscous=factor * rub.viscous)
+        cylinders.append(replace(cylinder, friction=rub))
+    return replace(task, machine=replace(task.machine, cylinders=tuple(cylinders)))
+
+
+def moved(task: Task, x: float, z: float) -> Task:
+    """A task whose path is shifted by x and z [m]."""
+    assert isinstance(task.path, Lines)
+    points = tuple((a + x, b, c + z) for a, b, c in task.path.points)
+    return replace(task, path=replace(task.path, points=points))
+
+
+def lengthened(machine: Machine, dead: float) -> Machine:
+    """The loader with cylinders that have another dead length, its pin distances derived again.
+
+    Strokes and joint ranges are printed. The lift's arms stay equal at both ends of the stroke, the tilt's arm at its
+    upper end stays as it is, and with it the pressure that holds the load at full reach.
+
+    Args:
+        machine: The machine; its lift and tilt are triangles.
+        dead: Retracted length less stroke [m].
+    """
+    cylinders = list(machine.cylinders)
+    for i, joint in enumerate(machine.joints[:2]):
+        old = cylinders[i].linkage
+        assert isinstance(old, Triangle)
+        short = cylinders[i].stroke + dead
+        equal = joint.name == "lift"
+        new = _triangle(old, joint.lower, joint.upper, short, short + cylinders[i].stroke, equal)
+        cylinders[i] = replace(cylinders[i], linkage=new)
+    return replace(machine, cylinders=tuple(cylinders))
+
+
+def _triangle(old: Triangle, lower: float, upper: float, least: float, most: float, equal: bool) -> Triangle:
+    """The triangle with given lengths at both ends of a joint's range, near an old one.
+
+    Its third condition: equal torque arms at both ends, or the old arm at the upper end.
+    """
+    from scipy.optimize import root
+
+    from leanboom import linkages
+
+    kept = abs(float(linkages.cylinder(old, upper)[1]))
+
+    def miss(values: Any) -> list[float]:
+        triangle = Triangle(*(float(value) for value in values))
+        (c0, r0, _), (c1, r1, _) = (linkages.cylinder(triangle, q) for q in (lower, upper))
+        third = r1 - r0 if equal else abs(r1) - kept
+        return [float(c0 - least), float(c1 - most), float(third)]
+
+    answer = root(miss, [old.long, old.short, old.angle], tol=1e-12)
+    assert answer.success, answer.message
+    return Triangle(*(float(value) for value in answer.x))
+
+
+def _triangle_task(size: str) -> Task:
+    return files.load_task(f"loader-triangle-{size}", start="smallest")
+
+
+def _forwarder_task(path: str, start: str) -> Task:
+    return files.load_task(f"forwarder-{path}", start=start)
+
+
+# Tables 2 and 3.
+
+UNPRINTED = "unprinted pin distances and triangle corners are assumed"
+LOCAL = "other local method, other local optimum"
+WHY2 = {
+    "DIDO (CP)": "",
+    "DP (Pos. actuator)": UNPRINTED,
+    "fmincon (CP)": LOCAL,
+    "Act. p-inv. (Weighted)": "no reading of the weights gives 1.308, see docs/baselines.md",
+}
+WHY3 = {
+    "DIDO (LS)": "the printed solution is a worse local optimum",
+    "DP (Pos. actuator)": UNPRINTED,
+    "fmincon (LS)": LOCAL,
+    "DP (Act. velocity)": UNPRINTED,
+    "Act. p-inv. (Unweighted)": UNPRINTED,
+    "Act. p-inv. (Weighted)": "reading of the weights, and unprinted geometry",
+}
+
+
+def _table_jobs(rows: tuple[printed.Entry, ...]) -> dict[str, Job]:
+    task = _triangle_task("large")
+    return {row.name: Job(task, row.method, row.cost) for row in rows}
+
+
+def _table_lines(
+    name: str, rows: tuple[printed.Entry, ...], pump: str, why: dict[str, str], got: Records
+) -> list[Line]:
+    best = got[rows[0].name]
+    lines = []
+    for row in rows:
+        mine = got[row.name]
+        ours = ratio(mine, best, PUMPS[pump])
+        lines.append(Line(name, row.name, row.value, ours, mine["status"] if ours is None else why.get(row.name, "")))
+    return lines
+
+
+# Figures 8 and 10: cost over grid size.
+
+
+def _convergence_jobs(cost: str) -> dict[str, Job]:
+    task = _triangle_task("large")
+    jobs = {f"{p}x{v}": Job(task, COARSE, cost, (p, v)) for p, v in CONVERGENCE}
+    return jobs | {"plan": Job(task, "dp", cost)}
+
+
+def _convergence_lines(name: str, pump: str, got: Records) -> list[Line]:
+    densest = got["{}x{}".format(*CONVERGENCE[-1])]
+    lines = []
+    for grid, record in got.items():
+        row = "refined and polished" if grid == "plan" else f"grid {grid}"
+        lines.append(
+            Line(name, f"{row}: cost over that of the densest grid", None, ratio(record, densest, PUMPS[pump]))
+        )
+    return lines
+
+
+# Cylinder sizes, sections 6.2 and 6.3, and the three triangles.
+
+CHANGES = {"tilt 80/56": ("tilt", 0.080, 0.056), "extension 45/30": ("extension", 0.045, 0.030)}
+
+
+def _sizing_jobs() -> dict[str, Job]:
+    jobs = {}
+    for size in SIZES:
+        task = _triangle_task(size)
+        for cost in PUMPS:
+            jobs[f"{size}, {cost}"] = Job(task, "dp", cost)
+            for change, cylinder in CHANGES.items():
+                other = replace(task, machine=resized(task.machine, *cylinder))
+                jobs[f"{change}, {size}, {cost}"] = Job(other, "dp", cost)
+        jobs[f"{size}, pointwise"] = Job(task, "sns-actuator", "velocity")
+    return jobs
+
+
+def _sizing_lines(got: Records) -> list[Line]:
+    lines = []
+    said = {"tilt 80/56": printed.TILT_ROD, "extension 45/30": printed.EXTENSION_BORE}
+    for change, claims in said.items():
+        for size in SIZES:
+            cp, ls = got[f"{change}, {size}, cp"], got[f"{change}, {size}, ls"]
+            old_cp, old_ls = got[f"{size}, cp"], got[f"{size}, ls"]
+            for what, key, ours in (
+                ("CP flow", "flow", percent(cp, old_cp, "flow_m3")),
+                ("highest pressure of the CP optimum", "pressure", percent(cp, old_cp, "pressure_pa")),
+                ("LS energy", "ls", percent(ls, old_ls, "energy_ls_j")),
+                ("highest pressure of the LS optimum", "", percent(ls, old_ls, "pressure_pa")),
+            ):
+                value = claims.get(key, {}).get(size)
+                lines.append(Line("sizing", f"{change}, {size} triangle: change of {what} [%]", value, ours))
+    for pump, key in PUMPS.items():
+        for size in SIZES:
+            saving = percent(got[f"{size}, {pump}"], got[f"{size}, pointwise"], key)
+            saving = None if saving is None else -saving
+            row = f"{size} triangle: {pump.upper()} energy saved against the unweighted p-inv. [%]"
+            lines.append(Line("sizing", row, None, saving))
+    return lines
+
+
+# The 4-DOF paper's paths, Figures 10 to 12 and A4 to A6.
+
+
+def _path_jobs(path: str) -> dict[str, Job]:
+    return {
+        f"{start}, {row.name}": Job(_forwarder_task(path, start), row.method, row.cost)
+        for start in STARTS
+        for row in printed.SOLUTIONS
+    }
+
+
+def _path_lines(path: str, got: Records) -> list[Line]:
+    lines = []
+    for start in STARTS:
+        mine = {row.name: got[f"{start}, {row.name}"] for row in printed.SOLUTIONS}
+        for pump, key in PUMPS.items():
+            where = f"{pump.upper()}, {start} start"
+            for name, record in mine.items():
+                joules = record[key]
+                ours = None if joules is None else joules / 1e3
+                lines.append(Line(path, f"{where}: {name} [kJ]", None, ours, "" if ours else record["status"]))
+            best = mine["DP (LS)" if pump == "ls" else "DP (CP)"]
+            for name in ("P-inv. (j.)", "P-inv. (a.)"):
+                value = printed.EXCESS.get((path, pump)) if start == "smallest" else None
+                ours = ratio(mine[name], best, key)
+                lines.append(Line(path, f"{where}: {name} over the best", value, ours, _why_excess(value, ours)))
+        optimum = got[f"{start}, DP (CP)"]["energy_cp_j"], got[f"{start}, DP (LS)"]["energy_ls_j"]
+        value = printed.CP_OVER_LS.get(path) if start == "smallest" else None
+        lines.append(Line(path, f"{start} start: best CP energy over best LS energy", value, _over(*optimum)))
+        value = printed.CP_BEST_OVER_LS_POINTWISE.get(path) if start == "smallest" else None
+        both = optimum[0], mine["P-inv. (a.)"]["energy_ls_j"]
+        lines.append(Line(path, f"{start} start: best CP energy over LS energy of P-inv. (a.)", value, _over(*both)))
+    return lines
+
+
+def _over(a: float | None, b: float | None) -> float | None:
+    return None if a is None or not b else a / b
+
+
+def _why_excess(value: float | None, ours: float | None) -> str:
+    if value is None or ours is None or abs(ours - value) < 0.1:
+        return ""
+    return "printed: measured on the real crane; here: model, masses, friction and end points assumed"
+
+
+# Sensitivity to what the papers do not print.
+
+SWEPT = ("ls", "cp", "velocity", "actuator")
+
+
+def variations() -> dict[str, Task]:
+    """The varied triangle tasks by name, the unvaried first."""
+    base = _triangle_task("large")
+    tasks = {"as bundled": base}
+    for dead in (0.20, 0.35):
+        tasks[f"dead length {dead:.2f} m"] = replace(base, machine=lengthened(base.machine, dead))
+    for factor in (0.8, 1.2):
+        tasks[f"masses {100 * (factor - 1):+.0f} %"] = heavier(base, factor)
+    for x, z in ((0.2, 0.0), (0.0, 0.4), (0.0, -0.3)):
+        tasks[f"triangle moved by ({x:g}, {z:g}) m"] = moved(base, x, z)
+    return tasks
+
+
+def path_variations(path: str) -> dict[str, Task]:
+    """The varied tasks of a forwarder path by name, the unvaried first.
+
+    Args:
+        path: One of `PATHS`.
+    """
+    base = _forwarder_task(path, "smallest")
+    tasks = {"as bundled": base}
+    for factor in (0.8, 1.2):
+        tasks[f"masses {100 * (factor - 1):+.0f} %"] = heavier(base, factor)
+    for factor in (0.5, 2.0):
+        tasks[f"friction x {factor:g}"] = rubbed(base, factor)
+    return tasks
+
+
+def _sensitivity_jobs() -> dict[str, Job]:
+    jobs = {}
+    for name, task in variations().items():
+        for cost in SWEPT:
+            jobs[f"loader, {name}, {cost}"] = Job(task, "dp", cost, SWEEP_GRID)
+        for row in printed.TABLE2:
+            if row.method.startswith("sns"):
+                jobs[f"loader, {name}, {row.method}"] = Job(task, row.method, row.cost)
+    for path in PATHS:
+        for name, task in path_variations(path).items():
+            for pump in PUMPS:
+                jobs[f"{path}, {name}, {pump}"] = Job(task, "dp", pump, SWEEP_GRID)
+            for row in printed.SOLUTIONS:
+                if row.method.startswith("sns"):
+                    jobs[f"{path}, {name}, {row.method}"] = Job(task, row.method, row.cost)
+    return jobs
+
+
+def _sensitivity_lines(got: Records) -> list[Line]:
+    lines = []
+    for table, rows, pump in (("Table 2", printed.TABLE2, "cp"), ("Table 3", printed.TABLE3, "ls")):
+        swept = [row for row in rows[1:] if row.method == "dp" or row.method.startswith("sns")]
+        for row in swept:
+            for name in variations():
+                mine = got[f"loader, {name}, {row.cost if row.method == 'dp' else row.method}"]
+                ours = ratio(mine, got[f"loader, {name}, {pump}"], PUMPS[pump])
+                lines.append(Line("sensitivity", f"{table}, {row.name}: {name}", row.value, ours))
+    for path in PATHS:
+        for pump, key in PUMPS.items():
+            for solution, method in (("P-inv. (j.)", "sns-joint"), ("P-inv. (a.)", "sns-actuator")):
+                for name in path_variations(path):
+                    ours = ratio(got[f"{path}, {name}, {method}"], got[f"{path}, {name}, {pump}"], key)
+                    value = printed.EXCESS.get((path, pump))
+                    row = f"{path}, {pump.upper()}, {solution} over the best: {name}"
+                    lines.append(Line("sensitivity", row, value, ours))
+    return lines
+
+
+EXPERIMENTS = {
+    "table2": Experiment(
+        "Constant pressure: pump flow relative to the least (3-DOF, Table 2, simplified)",
+        lambda: _table_jobs(printed.TABLE2),
+        lambda got: _table_lines("table2", printed.TABLE2, "cp", WHY2, got),
+    ),
+    "table3": Experiment(
+        "Load sensing: energy relative to the least (3-DOF, Table 3, simplified)",
+        lambda: _table_jobs(printed.TABLE3),
+        lambda got: _table_lines("table3", printed.TABLE3, "ls", WHY3, got),
+    ),
+    "fig8": Experiment(
+        "Convergence over the grid, constant pressure (3-DOF, Figure 8)",
+        lambda: _convergence_jobs("cp"),
+        lambda got: _convergence_lines("fig8", "cp", got),
+    ),
+    "fig10": Experiment(
+        "Convergence over the grid, load sensing (3-DOF, Figure 10)",
+        lambda: _convergence_jobs("ls"),
+        lambda got: _convergence_lines("fig10", "ls", got),
+    ),
+    "sizing": Experiment(
+        "Other cylinder sizes, three triangles (3-DOF, sections 6.2, 6.3)", _sizing_jobs, _sizing_lines
+    ),
+    **{
+        path: Experiment(
+            f"Pump energies, {path} (4-DOF, {figures})",
+            lambda path=path: _path_jobs(path),
+            lambda got, path=path: _path_lines(path, got),
+        )
+        for path, figures in zip(PATHS, ("Figures 10, A4", "Figures 11, A5", "Figures 12, A6"), strict=True)
+    },
+    "sensitivity": Experiment(
+        "What depends on values that the papers do not print", _sensitivity_jobs, _sensitivity_lines
+    ),
+}

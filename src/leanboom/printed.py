@@ -1,0 +1,76 @@
+"""What the two papers print, and the solution of ours that stands beside each value.
+
+*3-DOF* is Nurmi and Mattila, Automation in Construction 73 (2017); *4-DOF* is Nurmi and Mattila, Energies 10 (2017)
+647. Tables 2 and 3 have a second column, from closed-loop simulations with pressure dynamics and friction; it does not
+belong to planning and is left out. The bar charts of the 4-DOF paper (Figures 10a-12a, A4-A6) have no numbers, and are
+measured on the real crane; only what the text says of them can be compared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A row of a table or chart: its name, and our method and minimised cost for it."""
+
+    name: str  # as printed
+    method: str  # a name of `planner.METHODS`
+    cost: str
+    value: float | None = None  # relative cost of the simplified model
+
+
+# 3-DOF, Table 2: pump flow of the largest triangle, relative to the least.
+TABLE2 = (
+    Entry("DP (CP)", "dp", "cp", 1.000),
+    Entry("DIDO (CP)", "pseudospectral", "cp", 1.003),
+    Entry("DP (LS)", "dp", "ls", 1.062),
+    Entry("DP (Act. velocity)", "dp", "velocity", 1.087),
+    Entry("DP (Pos. actuator)", "dp", "actuator", 1.098),
+    Entry("Act. p-inv. (Unweighted)", "sns-actuator", "velocity", 1.127),
+    Entry("fmincon (CP)", "shooting", "cp", 1.166),
+    Entry("Act. p-inv. (Weighted)", "sns-actuator-weighted", "weighted-velocity", 1.308),
+)
+
+# 3-DOF, Table 3: LS energy of the largest triangle, relative to the least.
+TABLE3 = (
+    Entry("DP (LS)", "dp", "ls", 1.000),
+    Entry("DIDO (LS)", "pseudospectral", "ls", 1.087),
+    Entry("DP (Pos. actuator)", "dp", "actuator", 1.109),
+    Entry("fmincon (LS)", "shooting", "ls", 1.154),
+    Entry("DP (CP)", "dp", "cp", 1.201),
+    Entry("DP (Act. velocity)", "dp", "velocity", 1.247),
+    Entry("Act. p-inv. (Unweighted)", "sns-actuator", "velocity", 1.259),
+    Entry("Act. p-inv. (Weighted)", "sns-actuator-weighted", "weighted-velocity", 1.413),
+)
+
+# 3-DOF, sections 6.2 and 6.3: changes of cylinder sizes, in percent.
+TILT_ROD = {
+    "flow": {"large": -5.0, "medium": -4.0, "small": -4.0},
+    "ls": {"large": 6.0},  # "almost 6%"
+    "pressure": {"large": 5.0},  # "well over 5%"
+}
+EXTENSION_BORE = {"flow": {"large": -4.0}, "ls": {"large": -4.0}, "pressure": {"large": 0.0}}  # "negligible effect"
+
+# 4-DOF, section 6: the solutions of Figures 10 to 12.
+SOLUTIONS = (
+    Entry("DP (LS)", "dp", "ls"),
+    Entry("DIDO (LS)", "pseudospectral", "ls"),
+    Entry("DP (CP)", "dp", "cp"),
+    Entry("DIDO (CP)", "pseudospectral", "cp"),
+    Entry("DP (A. En.)", "dp", "actuator"),
+    Entry("DP (ext.)", "dp", "extension"),
+    Entry("P-inv. (j.)", "sns-joint", "joint-velocity"),
+    Entry("P-inv. (a.)", "sns-actuator", "velocity"),
+)
+
+# 4-DOF, sections 6.1 and 6.2: energy of a pseudo-inverse over that of the best solution, by path and pump.
+EXCESS = {
+    ("horizontal", "ls"): 1.25,  # "25% greater energy consumption"
+    ("horizontal", "cp"): 1.30,  # "approximately 30% greater energy use"
+    ("vertical", "ls"): 2.0,  # "almost twice the energy consumption"
+}
+CONVENTIONAL = (15.0, 30.0)  # section 7: percent of "greater hydraulic energy consumption" in all
+CP_OVER_LS = {"vertical": 2.0}  # section 6.2: CP rates "approximately double compared to the LS case"
+CP_BEST_OVER_LS_POINTWISE = {"horizontal": 1.0}  # section 6.1: "the same amount"

@@ -1,0 +1,233 @@
+"""Reproduction: the papers' experiments solved again, our values beside the printed ones.
+
+Every solution is kept in a file of its own, named after a hash of all that it depends on: the task with its machine, the
+method, cost and grid, leanboom's version and the sources that solve. So a run that was interrupted goes on where it
+stopped, and experiments share their solutions.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from leanboom import __version__, jobs
+from leanboom.errors import InputError, LeanboomError
+from leanboom.experiments import COARSE, EXPERIMENTS, Job, Line, Records
+
+SMOOTH = 5.0  # [Hz], both papers filter their plans before they are measured
+STEP = 0.05  # [s]
+POINTS = 601  # of a motion in its record, at most
+SOLVED, RESULTS = "solved", "results.json"
+# Modules that present results: their sources have no part in a solution.
+PRESENTING = (
+    "charts", "cli", "comparison", "experiments", "figures", "inspection", "jobs", "printed", "report",
+    "reproduction", "results", "runfolder", "tables", "writing",
+)  # fmt: skip
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reproduction:
+    """Reproduced experiments: the lines of each, and the records of their solutions."""
+
+    lines: tuple[Line, ...]
+    records: dict[str, Records]  # by experiment, then by the experiment's name for a solution
+
+    def json(self) -> list[dict[str, Any]]:
+        """What `reproduce --json` prints."""
+        return [
+            {
+                "experiment": line.experiment,
+                "row": line.row,
+                "printed": line.printed,
+                "ours": line.ours,
+                "difference": line.difference,
+            }
+            for line in self.lines
+        ]
+
+    def __repr__(self) -> str:
+        beside = sum(line.difference is not None for line in self.lines)
+        return f"Reproduction({', '.join(self.records)}: {len(self.lines)} lines, {beside} beside printed values)"
+
+
+def names(asked: Sequence[str]) -> tuple[str, ...]:
+    """The experiments that are asked for, in their order.
+
+    Args:
+        asked: Names of `EXPERIMENTS`, or "all"; none mean all.
+
+    Raises:
+        InputError: One of them does not exist.
+    """
+    wrong = [name for name in asked if name not in EXPERIMENTS and name != "all"]
+    if wrong:
+        raise InputError(f"experiment = {', '.join(wrong)}; must be all or some of {', '.join(EXPERIMENTS)}")
+    return tuple(name for name in EXPERIMENTS if not asked or "all" in asked or name in asked)
+
+
+def reproduce(
+    asked: Sequence[str] = (),
+    folder: Path = Path("leanboom-reproduce"),
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Reproduction:
+    """Solve what experiments need and is not solved yet, and read their values off.
+
+    Solutions run side by side, each in a process of its own: a script calls this below `if __name__ == "__main__":`.
+
+    Args:
+        asked: Names of experiments; none mean all.
+        folder: Where solutions are kept.
+        workers: Solutions at a time; None: one a core.
+        progress: Called with what happens and the share done.
+
+    Returns:
+        Our values beside the printed ones.
+
+    Raises:
+        InputError: An experiment does not exist, or the folder cannot be used.
+    """
+    wanted = names(asked)
+    tell = progress or (lambda text, share: None)
+    needed = {name: {row: (key(job), job) for row, job in EXPERIMENTS[name].jobs().items()} for name in wanted}
+    every = {digest: job for rows in needed.values() for digest, job in rows.values()}
+    known = {digest: record for digest in every if (record := _read(folder, digest)) is not None}
+    missing = [digest for digest in every if digest not in known]
+    # The longest first, so that no core waits for a late one.
+    missing.sort(key=lambda digest: -_effort(every[digest]))
+    tell(f"{len(known)} of {len(every)} solutions at hand", len(known) / len(every))
+
+    def keep(index: int, outcome: jobs.Outcome) -> None:
+        digest = missing[index]
+        record = _nothing(outcome.failure) if outcome.failed else outcome.value
+        _write(folder / SOLVED / f"{digest}.json", record)
+        known[digest] = record
+        job = every[digest]
+        text = f"{job.task.name}, {job.method} ({job.cost}): {len(known)} of {len(every)} solutions"
+        tell(text, len(known) / len(every))
+
+    if missing:
+        _write(
+            folder / SOLVED / "README.json", {"what": "Solutions of leanboom reproduce, one a file; safe to delete."}
+        )
+        jobs.each(solve, [every[digest] for digest in missing], workers, keep)
+    records = {name: {row: known[digest] for row, (digest, _) in rows.items()} for name, rows in needed.items()}
+    lines = [line for name in wanted for line in EXPERIMENTS[name].lines(records[name])]
+    result = Reproduction(tuple(lines), records)
+    for name in wanted:
+        rows = [entry for entry in result.json() if entry["experiment"] == name]
+        _write(folder / f"{name}.json", rows)
+    return result
+
+
+def key(job: Job) -> str:
+    """Name of a solution: a hash of all that it depends on.
+
+    Args:
+        job: The job.
+    """
+    parts = (__version__, _sources(), repr(job.task), job.method, job.cost, job.grid, SMOOTH, STEP)
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]
+
+
+@functools.cache
+def _sources() -> str:
+    """A hash of the sources that solve."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        if path.stem not in PRESENTING:
+            digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def _effort(job: Job) -> float:
+    """How long a job takes, roughly, relative to others."""
+    times = {"shooting": 60.0, "pseudospectral": 30.0, "dp": 6.0, COARSE: 6.0}
+    dear = 3.0 if job.cost == "ls" and job.method in ("shooting", "pseudospectral") else 1.0
+    return dear * times.get(job.method, 1.0) * job.task.duration * job.grid[0] * job.grid[1]
+
+
+def solve(job: Job) -> dict[str, Any]:
+    """Solve a job and measure it, as a process of its own does.
+
+    The plan is made without the filter, which may overshoot a limit by some thousandths; its limits are judged as
+    planned, its energy and flow as filtered.
+
+    Args:
+        job: The job.
+
+    Returns:
+        Its record.
+
+    Raises:
+        LeanboomError: If the method has no result; the text says why.
+    """
+    import numpy as np
+
+    from leanboom import dp, planner, stages
+    from leanboom.judge import evaluate
+
+    began = time.process_time()
+    task = replace(job.task, smooth=None)
+    if job.method == COARSE:
+        problem = stages.discretise(task, STEP)
+        start = dp.start_position(problem, task.start)
+        assert start is not None
+        found = dp.rollout(dp.solve(problem, stages.full_grid(problem, *job.grid), job.cost), start)
+        status = evaluate(task, found).status
+    else:
+        cost = None if job.method.startswith("sns") else job.cost
+        plan = planner.run(task, cost=cost, method=job.method, grid=job.grid, step=STEP, baseline=False)
+        found, status = plan.motion, plan.evaluation.status
+        if status.startswith("not converged") or found.status.startswith("not converged"):
+            raise LeanboomError(found.status)
+    judged = evaluate(replace(task, smooth=SMOOTH), found)
+    at = np.unique(np.linspace(0, judged.time.size - 1, min(POINTS, judged.time.size)).round().astype(int))
+    return {
+        "status": status,
+        "energy_ls_j": judged.energy_ls,
+        "energy_cp_j": judged.energy_cp,
+        "flow_m3": float(np.trapezoid(judged.pump_flow, judged.time)),
+        "pressure_pa": float(judged.pressure.max()),
+        "solve_s": float(found.solve_s),
+        "cpu_s": time.process_time() - began,
+        "time_s": np.round(judged.time[at], 6).tolist(),
+        "stroke_m": np.round(judged.length[at, -1], 5).tolist(),
+        "supply_ls_pa": np.round(judged.supply_ls[at], -3).tolist(),
+    }
+
+
+def _nothing(reason: str) -> dict[str, Any]:
+    """The record of a solution that failed."""
+    numbers = ("energy_ls_j", "energy_cp_j", "flow_m3", "pressure_pa", "solve_s", "cpu_s")
+    return {"status": reason, **dict.fromkeys(numbers), "time_s": [], "stroke_m": [], "supply_ls_pa": []}
+
+
+def _read(folder: Path, digest: str) -> dict[str, Any] | None:
+    """A kept record; None if there is none or it is damaged."""
+    try:
+        record = json.loads((folder / SOLVED / f"{digest}.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return record if isinstance(record, dict) and set(record) == set(_nothing("")) else None
+
+
+def _write(path: Path, value: Any) -> None:
+    """Write JSON; the file appears whole or not at all."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        new = path.with_name(f".{path.name}.{os.getpid()}")
+        new.write_text(json.dumps(value, allow_nan=False) + "\n", encoding="utf-8")
+        new.replace(path)
+    except OSError as error:
+        raise InputError(f"out = {path.parent}; cannot be written: {error.strerror or error}") from None
