@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from leanboom.comparison import Comparison, compare
     from leanboom.errors import InfeasibleError, InputError, LeanboomError
     from leanboom.files import bundled_machines, bundled_tasks, load_machine, load_task
     from leanboom.judge import Evaluation, evaluate
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
+    "Comparison": "comparison", "compare": "comparison",
     "Evaluation": "judge", "InfeasibleError": "errors", "InputError": "errors", "LeanboomError": "errors",
     "Machine": "machine", "Motion": "motion", "Plan": "planner", "Task": "task", "bundled_machines": "files",
     "bundled_tasks": "files", "evaluate": "judge", "load_machine": "files", "load_task": "files",
@@ -30,6 +32,7 @@ _HOME = {
 }  # fmt: skip
 
 __all__ = [
+    "Comparison",
     "Evaluation",
     "InfeasibleError",
     "InputError",
@@ -40,6 +43,7 @@ __all__ = [
     "Task",
     "bundled_machines",
     "bundled_tasks",
+    "compare",
     "evaluate",
     "load_machine",
     "load_task",

@@ -1,4 +1,4 @@
-"""The command line: `leanboom plan`, `check`, `machines`, `tasks`.
+"""The command line: `leanboom plan`, `compare`, `reproduce`, `check`, `machines`, `tasks`.
 
 Results go to standard output, for people as tables and with `--json` as one object and nothing else; progress and
 problems go to standard error. Exit codes: 0 done, 1 no feasible motion, 2 bad input, 130 interrupted. Whatever a
@@ -138,6 +138,95 @@ def plan(
 
 
 @app.command()
+def compare(
+    task: Annotated[str, typer.Argument(metavar="TASK", help="A bundled task (see: leanboom tasks) or a task file.")],
+    pump: Annotated[str, typer.Option(metavar="NAMES", help="Whose energy counts: ls, cp or ls,cp.")] = "ls,cp",
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WHERE",
+            help="Where the extension starts, one or more: smallest, middle, best, or lengths such as '0.45 m'. "
+            "By default what the task says.",
+        ),
+    ] = None,
+    methods: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Some of dp, polish, pseudospectral, shooting, dp1, dp-paper, sns-joint, sns-actuator, "
+            "sns-actuator-weighted; dp:cp is dp with that minimised cost alone. By default all but dp-paper, which "
+            "takes minutes.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Write the rows, a bar chart and the motions laid over each other."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Compare the methods of the papers on a task."""
+    from leanboom import comparison, files, results
+
+    pumps = _listed(pump)
+    chosen = None if methods is None else _listed(methods)
+    comparison.entries(chosen, pumps)
+    if out is not None:
+        results.check(out)
+    asked = files.load_task(task)
+    starts = None if start is None else [files.load_task(task, start=each).start for each in _listed(start)]
+    with _Progress(steps=True) as tell:
+        result = comparison.compare(asked, pumps, start=starts, methods=chosen, progress=tell)
+        if out is not None:
+            tell("drawing", 1.0)
+            results.write_comparison(result, out)
+    if as_json:
+        _print_json(result.json())
+    else:
+        from leanboom import tables
+
+        tables.comparison(tables.output(), result, out)
+    if not any(row.feasible for row in result.rows):
+        _complain("no method found a feasible motion")
+        raise typer.Exit(1)
+
+
+@app.command()
+def reproduce(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME...]",
+            help="all, or some of table2, table3, fig8, fig10, sizing, horizontal, vertical, half-cycle, sensitivity.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path,
+        typer.Option(metavar="DIR", help="Where solutions are kept: an interrupted run goes on from there."),
+    ] = Path("leanboom-reproduce"),
+    docs: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write the page of results and its figures there, not to --out.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Solve the papers' experiments again; print our values beside the printed ones."""
+    from leanboom import reproduction, results
+
+    wanted = reproduction.names(names or [])
+    with _Progress(steps=True) as tell:
+        result = reproduction.reproduce(wanted, out, progress=tell)
+        tell("writing the page", 1.0)
+        page = results.write_page(result, out if docs is None else docs)
+    if as_json:
+        _print_json(result.json())
+    else:
+        from leanboom import tables
+
+        titles = {name: experiment.title for name, experiment in reproduction.EXPERIMENTS.items()}
+        tables.reproduction(tables.output(), result, titles)
+        typer.echo(f"Page and figures: {page}")
+
+
+@app.command()
 def check(
     names: Annotated[
         list[str], typer.Argument(metavar="FILE...", help="Machine or task files, or names of bundled ones.")
@@ -220,6 +309,11 @@ def _settings(grid: str, step: str) -> tuple[tuple[int, int], float]:
     return (int(nodes[1]), int(nodes[2])), seconds
 
 
+def _listed(text: str) -> list[str]:
+    """The parts of a list with commas."""
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
 def _print_json(value: Any) -> None:
     import json
 
@@ -235,10 +329,12 @@ def _complain(error: LeanboomError | str) -> None:
 class _Progress:
     """What a command does at the moment, on standard error.
 
-    A terminal gets a bar. Elsewhere one line tells of a beginning that takes long, such as the first compilation.
+    A terminal gets a bar. Elsewhere one line tells of a beginning that takes long, such as the first compilation, or
+    each step has a line.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, steps: bool = False) -> None:
+        self._steps = steps
         self._bar: Any = None
         self._timer: Any = None
 
@@ -259,7 +355,9 @@ class _Progress:
             self._bar.update(self._task, description=text, completed=fraction)
             return
         self._quiet()
-        if fraction == 0.0:
+        if self._steps:
+            typer.echo(f"leanboom: {text}", err=True)
+        elif fraction == 0.0:
             from threading import Timer
 
             self._timer = Timer(PATIENCE, typer.echo, (f"leanboom: {text}",), {"err": True})

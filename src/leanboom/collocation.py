@@ -62,7 +62,7 @@ def radau(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Legendre-Gauss-Radau points with the end added.
 
     Args:
-        count: Number of points.
+        count: Number of points, at least 2.
 
     Returns:
         Points and the end, tau in [-1, 1], (count + 1,); weights of the points, (count,); differentiation matrix,

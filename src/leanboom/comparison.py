@@ -1,8 +1,8 @@
 """Comparison: one task by every method of the papers, side by side, each measured by the same judge.
 
 A row is a method and the cost it minimises, as in the papers' tables: "dp (cp)" is dynamic programming for the
-constant-pressure pump. One solution serves both pumps, since the judge measures the energy of either. Rows are sorted by
-energy; behind the feasible ones stand those that break a limit, then those without a result, each with its reason.
+constant-pressure pump. One solution serves both pumps, since the judge measures the energy of either. Rows are sorted
+by energy; behind the feasible ones stand those that break a limit, then those without a result, each with its reason.
 """
 
 from __future__ import annotations
@@ -207,8 +207,10 @@ def compare(
     pumps = tuple(dict.fromkeys((pump,) if isinstance(pump, str) else pump))
     if not pumps or any(name not in PUMPS for name in pumps):
         raise InputError(f"pump = {', '.join(pumps) or 'nothing'}; must be some of {', '.join(PUMPS)}")
-    starts: tuple[Start, ...] = (task.start,) if start is None else (start,) if isinstance(start, str | float) else ()
-    starts = tuple(dict.fromkeys(starts or start))  # type: ignore[arg-type]
+    given = task.start if start is None else start
+    starts = tuple(dict.fromkeys((given,) if isinstance(given, str | float | int) else given))
+    if not starts:
+        raise InputError("start = nothing; must be smallest, middle, best, or lengths [m]")
     wanted = entries(methods, pumps)
     tasks = {each: replace(task, start=each) for each in starts}
     first = {each: _start_position(tasks[each]) for each in starts}

@@ -289,7 +289,9 @@ def bootstrap(levels: tuple[Level, ...], solve: Solve, draw_in: DrawIn, cost: st
         nonlocal best, settled
         made = solve(level, guess, drawn)
         seconds, energy = time.perf_counter() - began, made.judged.energy(cost)
-        log.append(f"{seconds:6.2f} s  {level}: {made.answer.text}, judged {energy:.6g} J, {made.judged.status}")
+        log.append(
+            f"{seconds:6.2f} s  {level}: {made.answer.text}, judged {1e-3 * energy:.5g} kJ, {made.judged.status}"
+        )
         if made.answer.converged:
             settled = level, made
             if best is None or better(made.judged, best, cost):
@@ -303,7 +305,7 @@ def bootstrap(levels: tuple[Level, ...], solve: Solve, draw_in: DrawIn, cost: st
     drawn = None
     for _ in range(REPAIRS):
         more = draw_in(settled[1]) if settled is not None else None
-        if settled is None or more is None or not settled[1].answer.converged:
+        if settled is None or more is None:
             break
         tell("limits drawn in", 1.0)
         before = drawn

@@ -201,7 +201,10 @@ def start_position(problem: Problem, start: str | float) -> float | None:
     if start == "smallest":
         return float(problem.lower[0])
     if start == "middle":
-        return float(0.5 * (problem.lower[0] + problem.upper[0]))
+        # Between the smallest and the largest feasible length; beside a gap, its nearest end.
+        middle = 0.5 * (problem.lower[0] + problem.upper[0])
+        nearest = np.clip(middle, intervals[:, 0], intervals[:, 1])
+        return float(nearest[np.abs(nearest - middle).argmin()])
     if start == "best":
         return None
     length = float(start)

@@ -17,7 +17,7 @@ from typing import Any
 from leanboom.errors import LeanboomError
 
 PRELOADED = ("leanboom.planner", "leanboom.polish", "leanboom.judge")  # what every process needs, imported once
-STARTING, VALUE, FAILURE = "starting", "value", "failure"
+STARTING, VALUE, REFUSAL, FAILURE = "starting", "value", "refusal", "failure"
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +26,7 @@ class Outcome:
 
     value: Any = None
     failure: str = ""  # why there is no value, as a sentence
+    refused: bool = False  # whether the function itself said so: the same call would fail again
 
     @property
     def failed(self) -> bool:
@@ -62,9 +63,9 @@ def each(
         LeanboomError: If processes cannot start.
     """
     methods = multiprocessing.get_all_start_methods()
-    context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+    context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     if context.get_start_method() == "forkserver":
-        context.set_forkserver_preload([*PRELOADED])  # type: ignore[attr-defined]
+        context.set_forkserver_preload([*PRELOADED])
     waiting = list(range(len(arguments)))[::-1]
     outcomes = [Outcome() for _ in arguments]
     running: dict[Any, tuple[int, Any, list]] = {}
@@ -107,7 +108,7 @@ def _listen(pipe: Any, process: Any, said: list) -> Outcome | None:
     if word == VALUE:
         return Outcome(value)
     if value:
-        return Outcome(failure=value)
+        return Outcome(failure=value, refused=word == REFUSAL)
     if not said:
         raise LeanboomError(
             "a process could not start; a script that calls this must do so below: if __name__ == '__main__':"
@@ -130,7 +131,7 @@ def _call(pipe: Any, function: Callable[[Any], Any], argument: Any) -> None:
         numba.set_num_threads(1)
         answer = VALUE, function(argument)
     except LeanboomError as error:
-        answer = FAILURE, str(error)
+        answer = REFUSAL, str(error)
     except MemoryError:
         answer = FAILURE, "out of memory"
     except Exception as error:  # whatever a method does wrong is the fate of its own call alone

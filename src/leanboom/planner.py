@@ -37,8 +37,9 @@ PUMPS = ("ls", "cp")
 # Tubes: nodes, and half widths relative to the coarse grid's spacing; halved each level.
 TUBE = (41, 33)
 TUBE_WIDTH, TUBE_SPREAD = 6.0, 6.0
-TUBE_LEVELS = 6
+TUBE_LEVELS, BASIN_LEVELS = 6, 3  # the best basin is chosen after BASIN_LEVELS
 REPEAT, TUBE_REPEATS = 2e-3, 4  # a tube is repeated while the judged cost falls by more than this share
+FINER = 5e-4  # stages are halved while that gains more than this share
 SETTLED = 1e-4  # polishing ends when it gains less than this share
 
 Progress = Callable[[str, float], None]
@@ -183,7 +184,7 @@ class _Run:
         if method.startswith("sns-"):
             from leanboom import pseudo_inverse
 
-            return evaluate(self.task, pseudo_inverse.resolve(self.task, start, method.removeprefix("sns-")))
+            return evaluate(self.task, pseudo_inverse.resolve(self.task, start, method.rsplit("-", maxsplit=1)[-1]))
         if method == "dp1":
             from leanboom import dp1
 
@@ -210,17 +211,29 @@ class _Run:
             name = f"coarse {grid.positions}x{grid.velocities} for {cost}"
             seed = self.judge(dp.rollout(coarse, first), name)
             del coarse
-            self.tubes(problem, seed, start, width, spread, TUBE_LEVELS)
+            self.tubes(problem, seed, start, width, spread, range(BASIN_LEVELS))
+        assert self.best is not None
+        self.tubes(problem, self.best, start, width, spread, range(BASIN_LEVELS, TUBE_LEVELS))
         free = start is None
         if self.polish(problem, free):
             # The polish moved on from where its seed's modes came from: look around it once more.
-            assert self.best is not None
-            self.tubes(problem, self.best, start, width / 4.0, spread / 4.0, TUBE_LEVELS - 2)
+            self.tubes(problem, self.best, start, width, spread, range(2, TUBE_LEVELS))
             self.polish(problem, free)
-        if start is not None:
-            self.fall_back(problem, start)
+        self.finer_stages(free)
         assert self.best is not None
+        self.fall_back(problem, float(self.best.motion.position[0]) if start is None else start)
         return self.best
+
+    def finer_stages(self, free: bool) -> None:
+        """Polish on stages half and a quarter as long while it pays: a start on a limit asks for finer control."""
+        for factor in (2, 4):
+            assert self.best is not None
+            before = judged_cost(self.best, self.cost)
+            self.polisher = None
+            self.polish(stages.discretise(self.task, self.step / factor), free, rounds=1)
+            if judged_cost(self.best, self.cost) >= before * (1.0 - FINER):
+                break
+        self.polisher = None
 
     def basins(self) -> list[tuple[str, int]]:
         """Coarse programs whose motions are refined: cost, and how many times coarser than the grid asked for.
@@ -230,25 +243,25 @@ class _Run:
         return [(self.cost, 1), ("cp", 2)] if self.cost == "ls" else [(self.cost, 1)]
 
     def tubes(
-        self, problem: Problem, chain: Evaluation, start: float | None, width: float, spread: float, levels: int
+        self, problem: Problem, chain: Evaluation, start: float | None, width: float, spread: float, levels: range
     ) -> None:
         """Solve again on tubes around a chain of better and better motions, halved while the judged cost falls."""
-        for level in range(levels):
-            self.tell(f"tube {level + 1} of {levels}", 0.4 + 0.3 * level / levels)
+        for level in levels:
+            self.tell(f"tube {level + 1} of {TUBE_LEVELS}", 0.4 + 0.3 * level / TUBE_LEVELS)
+            half = 0.5**level
             for _ in range(TUBE_REPEATS):
                 before = judged_cost(chain, self.cost)
                 seed = _on_stages(chain.motion, problem)
-                tube = stages.tube_grid(problem, seed.position, seed.velocity, width, spread, *TUBE)
+                tube = stages.tube_grid(problem, seed.position, seed.velocity, half * width, half * spread, *TUBE)
                 policy = dp.solve(problem, tube, self.cost)
                 first = dp.best_start(policy) if start is None else start
-                found = self.judge(dp.rollout(policy, first), f"tube of {width:.4f} m, {spread:.4f} m/s")
+                found = self.judge(dp.rollout(policy, first), f"tube of {half * width:.4f} m, {half * spread:.4f} m/s")
                 if beats(found, chain, self.cost):
                     chain = found
                 if judged_cost(chain, self.cost) >= before * (1.0 - REPEAT):
                     break
-            width, spread = 0.5 * width, 0.5 * spread
 
-    def polish(self, problem: Problem, free: bool) -> bool:
+    def polish(self, problem: Problem, free: bool, rounds: int = 4) -> bool:
         """Fix the modes of the best motion, solve the smooth problem, read the modes off, repeat while it pays.
 
         Returns:
@@ -260,7 +273,9 @@ class _Run:
         if self.polisher is None:
             self.polisher = polish.build(problem, self.cost)
         gained, done = False, None
-        for _ in range(4):
+        if not self.polisher.layout.loads:
+            rounds = 1  # no modes, no second round
+        for _ in range(rounds):
             assert self.best is not None
             before = judged_cost(self.best, self.cost)
             seed = _on_stages(self.best.motion, problem)
@@ -284,7 +299,8 @@ class _Run:
 
         problem = stages.discretise(self.task, self.step)
         start = dp.start_position(problem, self.task.start)
-        first = float(0.5 * (problem.lower[0] + problem.upper[0])) if start is None else start
+        first = dp.start_position(problem, "middle") if start is None else start
+        assert first is not None
         self.judge(pseudo_inverse.resolve(self.task, first, "actuator"), "pseudo-inverse")
         self.polish(problem, start is None)
         assert self.best is not None
@@ -324,12 +340,13 @@ class _Run:
     def explain(self, best: Evaluation) -> str:
         """Why there is no feasible motion, and the shortest duration that would have one."""
         self.tell("looking for the shortest feasible duration", 0.9)
-        factor = shortest_duration(self.task, self.step)
+        factor = shortest_duration(self.task, self.grid, self.step)
         if factor is None or factor <= 1.0:
             return f"no feasible motion found: {best.status}"
+        duration = np.ceil(100.0 * factor * self.task.duration) / 100.0
         return (
             f"no feasible motion: {best.status}; the path needs at least about "
-            f"{factor * self.task.duration:.2f} s instead of {self.task.duration:.2f} s"
+            f"{duration:.2f} s instead of {self.task.duration:.2f} s"
         )
 
 
@@ -360,30 +377,37 @@ def slower(task: Task, factor: float) -> Task:
     return replace(task, path=Spline(path.points, tuple(factor * t for t in path.times)))
 
 
-def shortest_duration(task: Task, step: float, accuracy: float = 0.01, most: float = 16.0) -> float | None:
+def shortest_duration(
+    task: Task, grid: tuple[int, int], step: float, accuracy: float = 0.01, most: float = 16.0
+) -> float | None:
     """Smallest factor on a task's duration at which a coarse plan keeps every limit; None up to `most`.
 
     Args:
         task: The task.
-        step: Length of a stage of the original task [s]; stretched with it.
-        accuracy: Relative accuracy of the factor.
+        grid: Position and velocity nodes.
+        step: Length of a stage [s].
+        accuracy: Relative accuracy of the factor, and the margin added to it.
         most: Largest factor tried.
+
+    Returns:
+        The factor, margin included; 1 where the task itself is feasible.
     """
 
     def feasible(factor: float) -> bool:
         slow = slower(task, factor)
-        problem = stages.discretise(slow, step * factor)
+        problem = stages.discretise(slow, step)
         start = dp.start_position(problem, task.start)
-        policy = dp.solve(problem, stages.full_grid(problem, 101, 51), "cp")
+        policy = dp.solve(problem, stages.full_grid(problem, *grid), "cp")
         return evaluate(slow, dp.rollout(policy, dp.best_start(policy) if start is None else start)).feasible
 
-    good = 1.0
+    if feasible(1.0):
+        return 1.0
+    bad, good = 1.0, 2.0
     while not feasible(good):
-        good *= 2.0
+        bad, good = good, 2.0 * good
         if good > most:
             return None
-    bad = 0.5 * good
     while good - bad > accuracy * good:
         middle = 0.5 * (good + bad)
         good, bad = (middle, bad) if feasible(middle) else (good, middle)
-    return good
+    return good * (1.0 + accuracy)

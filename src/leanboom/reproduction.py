@@ -1,8 +1,8 @@
 """Reproduction: the papers' experiments solved again, our values beside the printed ones.
 
-Every solution is kept in a file of its own, named after a hash of all that it depends on: the task with its machine, the
-method, cost and grid, leanboom's version and the sources that solve. So a run that was interrupted goes on where it
-stopped, and experiments share their solutions.
+Every solution is kept in a file of its own, named after a hash of all that it depends on: the task with its machine,
+the method, cost and grid, leanboom's version and the sources that solve. So a run that was interrupted goes on where
+it stopped, and experiments share their solutions.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from leanboom.experiments import COARSE, EXPERIMENTS, Job, Line, Records
 SMOOTH = 5.0  # [Hz], both papers filter their plans before they are measured
 STEP = 0.05  # [s]
 POINTS = 601  # of a motion in its record, at most
-SOLVED, RESULTS = "solved", "results.json"
+SOLVED = "solved"  # folder of the solutions
 # Modules that present results: their sources have no part in a solution.
 PRESENTING = (
     "charts", "cli", "comparison", "experiments", "figures", "inspection", "jobs", "printed", "report",
@@ -39,7 +39,7 @@ class Reproduction:
     """Reproduced experiments: the lines of each, and the records of their solutions."""
 
     lines: tuple[Line, ...]
-    records: dict[str, Records]  # by experiment, then by the experiment's name for a solution
+    records: Mapping[str, Records]  # by experiment, then by the experiment's name for a solution
 
     def json(self) -> list[dict[str, Any]]:
         """What `reproduce --json` prints."""
@@ -98,6 +98,7 @@ def reproduce(
         InputError: An experiment does not exist, or the folder cannot be used.
     """
     wanted = names(asked)
+    _make(folder / SOLVED)
     tell = progress or (lambda text, share: None)
     needed = {name: {row: (key(job), job) for row, job in EXPERIMENTS[name].jobs().items()} for name in wanted}
     every = {digest: job for rows in needed.values() for digest, job in rows.values()}
@@ -110,16 +111,14 @@ def reproduce(
     def keep(index: int, outcome: jobs.Outcome) -> None:
         digest = missing[index]
         record = _nothing(outcome.failure) if outcome.failed else outcome.value
-        _write(folder / SOLVED / f"{digest}.json", record)
+        if not outcome.failed or outcome.refused:  # what was killed is tried again next time
+            _write(folder / SOLVED / f"{digest}.json", record)
         known[digest] = record
         job = every[digest]
         text = f"{job.task.name}, {job.method} ({job.cost}): {len(known)} of {len(every)} solutions"
         tell(text, len(known) / len(every))
 
     if missing:
-        _write(
-            folder / SOLVED / "README.json", {"what": "Solutions of leanboom reproduce, one a file; safe to delete."}
-        )
         jobs.each(solve, [every[digest] for digest in missing], workers, keep)
     records = {name: {row: known[digest] for row, (digest, _) in rows.items()} for name, rows in needed.items()}
     lines = [line for name in wanted for line in EXPERIMENTS[name].lines(records[name])]
@@ -222,10 +221,17 @@ def _read(folder: Path, digest: str) -> dict[str, Any] | None:
     return record if isinstance(record, dict) and set(record) == set(_nothing("")) else None
 
 
+def _make(folder: Path) -> None:
+    """Make a folder before anybody waits for what goes into it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"out = {folder.parent}; cannot be written: {error.strerror or error}") from None
+
+
 def _write(path: Path, value: Any) -> None:
     """Write JSON; the file appears whole or not at all."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         new = path.with_name(f".{path.name}.{os.getpid()}")
         new.write_text(json.dumps(value, allow_nan=False) + "\n", encoding="utf-8")
         new.replace(path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,65 +20,9 @@ if TYPE_CHECKING:
 COMPARISON = ("comparison.json", "energies.png", "trajectories.png")
 PAGE, FIGURES = "results.md", "figures"
 
-INTRODUCTION = """# Results
-
-The experiments of the two papers, solved again by leanboom: our values beside the printed ones, and why they differ.
-*3-DOF* is Nurmi and Mattila, Automation in Construction 73 (2017); *4-DOF* is Nurmi and Mattila, Energies 10 (2017) 647.
-This page and its figures are written by
-
-    leanboom reproduce all --docs docs
-
-What to know before comparing:
-
-- **The cranes are not the papers' cranes.** Neither paper prints all it takes to model its crane: pin distances, the corners
-  of the paths, and for the 4-DOF crane also masses, friction and valve data are *assumed* (`leanboom check loader`,
-  `leanboom check forwarder` list every value and where it comes from). Agreement to the last digit would be chance.
-- The 3-DOF tables have two columns. Ours is the "simplified" one, the model that is planned with. The "full" one comes
-  from a closed-loop simulation and is not part of these experiments.
-- The 4-DOF figures are measured on the real crane, its controller's tracking errors included, and have no numbers; ours are
-  planned. Only what the paper's text says can be compared.
-- As in the papers, motions start from the smallest feasible extension (the 4-DOF ones also from the middle) and are low-pass
-  filtered at 5 Hz after planning; energies are those of the filtered motions. Ratios can therefore fall below 1 by some
-  tenths of a thousandth.
-- `*` marks motions that break a limit. Pseudo-inverses know no acceleration limits, so most of theirs do.
-- DIDO and fmincon are commercial; `pseudospectral` and `shooting` stand for them (see `docs/baselines.md`). A local method's
-  result says as much about its settings and its first guess as about the method.
-"""
-
-TEXTS = {
-    "table2": """The order of the first half and both gaps that matter to a user agree: dynamic programming for CP needs about a
-tenth less oil than the unweighted pseudo-inverse, and a pseudospectral method comes close to it.
-
-- *DP (Act. velocity)* is the true optimum of v'v here (dynamic programming, one-state dynamic programming and the polish
-  alone agree on it to 0.02 %), yet it needs more oil than the pseudo-inverse: small velocities are not small flows. How much
-  more depends on the unprinted geometry.
-- *fmincon (CP)*: our full-dimensional direct method finds practically the optimum. The printed 1.166 is a poor local optimum.
-- *Act. p-inv. (Weighted)*: 1.308 is not reproduced by any reading of the weights that we tried; see `docs/baselines.md`.
-""",
-    "table3": """DP (LS) is the least in both. The unweighted pseudo-inverse is worse here than printed, the weighted one close to
-print; the printed order of the two is the opposite, as in Table 2.
-""",
-    "fig8": """Figures 8 and 10 have no numbers in their text. As printed, even coarse grids are close for CP, and LS needs denser
-ones. The dashed lines are what `leanboom plan` finds with tubes and polish from its usual grid: below every single grid.
-""",
-    "sizing": """Printed values are rounded ("almost 6%", "well over 5%", "negligible"). What the pressure of a changed cylinder does
-depends on which cylinder is loaded most and where, hence on the assumed geometry; the flow depends on areas and strokes
-alone. As printed, the saving against the pseudo-inverse falls with the size of the triangle for CP.
-""",
-    "horizontal": """The paper: pseudo-inverses need 25 % more LS energy and about 30 % more CP energy than the best; minimising the use of
-the extension is poor; the CP solution is nearly as good for LS; the best CP energy equals the LS energy of the pseudo-inverses.
-""",
-    "vertical": """The paper: pseudo-inverses need almost twice the LS energy of the best; CP takes about double the energy of LS. There the
-papers' dynamic program was beaten by DIDO, which was put down to its grid; a refined and polished one is not.
-The direction of this path is not printed; downwards is assumed.
-""",
-    "half-cycle": """The paper: all solutions perform fairly similarly for LS, although its simulations (not shown) predicted greater
-differences; for CP the pseudo-inverses are inferior. The via points are assumed.
-""",
-    "sensitivity": """Values that the papers do not print are varied: the cylinders' dead length (pin distances derived again), all masses by
-20 %, friction by a factor of 2, and the place of the triangle. Solved on a coarser first grid.
-""",
-}
+_TEMPLATE = Path(__file__).parent / "page" / "results.md"
+_SECTION = re.compile(r"<!-- ([\w-]+) -->\n")
+_HOLE = re.compile(r"\{\{(\w+)\}\}")
 
 
 def check(out: Path) -> None:
@@ -137,24 +82,34 @@ def write_page(result: Reproduction, out: Path) -> Path:
 
 
 def page(result: Reproduction) -> str:
-    """The page of a reproduction, as Markdown.
+    """The page of a reproduction, as Markdown: the sections of `page/results.md` whose experiments were run.
 
     Args:
         result: The reproduction.
     """
-    parts = [INTRODUCTION]
-    for name in result.records:
-        lines = [line for line in result.lines if line.experiment == name]
-        parts.append(f"## {EXPERIMENTS[name].title}\n")
-        parts.append(TEXTS.get(name, ""))
-        if name == "sensitivity":
-            parts += _sensitivity(lines)
-        elif name in PATHS:
-            parts += [_energy_table(result.records[name]), _table([line for line in lines if "[kJ]" not in line.row])]
-        else:
-            parts.append(_table(lines))
-        parts += [f"![{figure}]({FIGURES}/{figure}.png)\n" for figure in _figures_of(name, result)]
-    return "\n".join(part for part in parts if part)
+    head, *parts = _SECTION.split(_TEMPLATE.read_text(encoding="utf-8"))
+    text = head
+    for name, section in zip(parts[::2], parts[1::2], strict=True):
+        if name in result.records:
+            holes = _holes(name, result)
+            text += _HOLE.sub(lambda hole, holes=holes: holes[hole[1]], section)
+    return text.rstrip("\n") + "\n"
+
+
+def _holes(name: str, result: Reproduction) -> dict[str, str]:
+    """What is filled into an experiment's section."""
+    lines = [line for line in result.lines if line.experiment == name]
+    holes = {"title": EXPERIMENTS[name].title}
+    holes["figures"] = "\n\n".join(f"![{figure}]({FIGURES}/{figure}.png)" for figure in _figures_of(name, result))
+    if name == "sensitivity":
+        groups = _grouped(lines)
+        holes |= {"ranges": _ranges(groups), "verdicts": "\n".join(f"- {text}" for text in verdicts(groups))}
+    elif name in PATHS:
+        holes["energies"] = _energy_table(result.records[name])
+        holes["table"] = _table([line for line in lines if "[kJ]" not in line.row])
+    else:
+        holes["table"] = _table(lines)
+    return holes
 
 
 def pictures(result: Reproduction) -> dict[str, bytes]:
@@ -216,7 +171,7 @@ def _table(lines: list[Line]) -> str:
         cells += [number(line.difference, signed=True)] if beside else []
         cells += [line.why] if noted else []
         rows.append(f"| {' | '.join(cells)} |")
-    return "\n".join(rows) + "\n"
+    return "\n".join(rows)
 
 
 def number(value: float | None, *, signed: bool = False) -> str:
@@ -246,7 +201,7 @@ def _energy_table(got: experiments.Records) -> str:
             mark = "" if record["status"] == "solved" else "*"
             cells.append("-" if joules is None else f"{joules / 1e3:.2f}{mark}")
         rows.append(f"| {row.name} | {' | '.join(cells)} |")
-    return "\n".join(rows) + "\n"
+    return "\n".join(rows)
 
 
 def _grouped(lines: list[Line]) -> dict[str, list[Line]]:
@@ -257,9 +212,8 @@ def _grouped(lines: list[Line]) -> dict[str, list[Line]]:
     return groups
 
 
-def _sensitivity(lines: list[Line]) -> list[str]:
-    """Ranges of the varied ratios, and which conclusions survive."""
-    groups = _grouped(lines)
+def _ranges(groups: Mapping[str, list[Line]]) -> str:
+    """Ranges of the varied ratios, as a table."""
     rows = ["| ratio | printed | as bundled | least | most | moved most by |", "| --- |" + " ---: |" * 4 + " --- |"]
     for what, varied in groups.items():
         found = [(line.ours, line.row.rsplit(": ", 1)[1]) for line in varied if line.ours is not None]
@@ -270,7 +224,7 @@ def _sensitivity(lines: list[Line]) -> list[str]:
         most = max(found, key=lambda pair: abs(pair[0] - base))[1]
         cells = [what, number(varied[0].printed), number(base), number(min(values)), number(max(values)), most]
         rows.append(f"| {' | '.join(cells)} |")
-    return ["\n".join(rows) + "\n", "What survives:\n", "\n".join(f"- {text}" for text in verdicts(groups)) + "\n"]
+    return "\n".join(rows)
 
 
 def verdicts(groups: Mapping[str, list[Line]]) -> list[str]:
@@ -291,11 +245,9 @@ def verdicts(groups: Mapping[str, list[Line]]) -> list[str]:
         said.append(f"The order of the rows of {table} stays as bundled in {same} of {len(orders) - 1} variations.")
         for name in ("Unweighted", "Weighted"):
             values = next(values for what, values in rows.items() if f"({name})" in what)
-            numbers = [value or 0.0 for value in values]
-            said.append(
-                f"The {name.lower()} pseudo-inverse needs {100 * (min(numbers) - 1):.0f} to {100 * (max(numbers) - 1):.0f} % "
-                f"more {pump} energy than the best in every variation."
-            )
+            more = sorted(100.0 * ((value or 0.0) - 1.0) for value in values)
+            range_ = f"{more[0]:.0f} to {more[-1]:.0f} %"
+            said.append(f"Triangle: the {name.lower()} pseudo-inverse needs {range_} more {pump} energy than the best.")
     for path in PATHS:
         for pump in ("LS", "CP"):
             values = [
@@ -307,9 +259,8 @@ def verdicts(groups: Mapping[str, list[Line]]) -> list[str]:
             ]
             if values:
                 saving = sorted(100.0 * (1.0 - 1.0 / value) for value in values)
-                said.append(
-                    f"Path {path}, {pump}: the best saves {saving[0]:.0f} to {saving[-1]:.0f} % against a pseudo-inverse."
-                )
+                range_ = f"{saving[0]:.0f} to {saving[-1]:.0f} %"
+                said.append(f"Path {path}: the best saves {range_} of {pump} energy against a pseudo-inverse.")
     return said
 
 

@@ -18,9 +18,12 @@ from leanboom.source import shortened
 from leanboom.task import Spline
 
 if TYPE_CHECKING:
+    from leanboom.comparison import Comparison, Row
+    from leanboom.experiments import Line
     from leanboom.judge import Evaluation
     from leanboom.machine import Machine
     from leanboom.planner import Plan
+    from leanboom.reproduction import Reproduction
     from leanboom.task import Task
 
 PIPE_WIDTH = 160  # of tables that do not go to a terminal
@@ -127,6 +130,77 @@ def _length(value: float) -> str:
 
 def _start(task: Task) -> str:
     return task.start if isinstance(task.start, str) else _length(task.start)
+
+
+def comparison(console: Console, result: Comparison, out: Path | None) -> None:
+    """The rows of a comparison, sorted, a table a start and pump.
+
+    Args:
+        console: Where to print.
+        result: The comparison.
+        out: Its folder, if it has one.
+    """
+    task = result.task
+    name = shortened(task.name, 80)
+    for start in result.starts:
+        for pump in result.pumps:
+            where = start if isinstance(start, str) else _length(start)
+            _say(console, f"{name}: {PUMPS[pump]}, {where} start, {task.duration:g} s", "bold")
+            console.print()
+            best = result.best(pump, start)
+            table = _table("Method (minimised cost)", "energy\nkJ", "relative", "solved\ns", "", numbers=4)
+            table.columns[-1].justify = "left"
+            table.columns[-1].no_wrap = False
+            for row in result.block(pump, start):
+                _row(table, *_compared(row, best))
+            console.print(table)
+            if best is None:
+                _say(console, "No method found a motion that keeps every limit.", "red")
+            console.print()
+    if out is not None:
+        _say(console, f"{'Rows and figures':<22}{shortened(str(out), 400)}")
+    _say(console, f"{inspection.assumed(task.machine)}.")
+
+
+def _compared(row: Row, best: Row | None) -> list[str]:
+    """The cells of a comparison's row."""
+    energy, least = row.energy, None if best is None else best.energy
+    seconds = row.summary["solve_s"]
+    return [
+        row.label,
+        "-" if energy is None else f"{energy / 1e3:.2f}",
+        "-" if energy is None or not least else f"{energy / least:.3f}",
+        "-" if seconds is None else f"{seconds:.1f}",
+        "best" if row is best else "" if row.feasible else row.status,
+    ]
+
+
+def reproduction(console: Console, result: Reproduction, titles: dict[str, str]) -> None:
+    """Our values beside the printed ones, a table an experiment.
+
+    Args:
+        console: Where to print.
+        result: The reproduction.
+        titles: Of the experiments.
+    """
+    for name in result.records:
+        _say(console, titles[name], "bold")
+        console.print()
+        table = _table(name, "printed", "ours", "difference", "why", numbers=4)
+        table.columns[-1].justify = "left"
+        table.columns[-1].no_wrap = False
+        for line in result.lines:
+            if line.experiment == name:
+                _row(table, *_beside(line))
+        console.print(table)
+        console.print()
+
+
+def _beside(line: Line) -> list[str]:
+    """The cells of a reproduced line."""
+    difference = "" if line.difference is None else f"{line.difference:+.3f}"
+    printed = "" if line.printed is None else f"{line.printed:.3f}"
+    return [line.row, printed, "-" if line.ours is None else f"{line.ours:.3f}", difference, line.why]
 
 
 def machine_facts(machine: Machine) -> dict[str, Any]:

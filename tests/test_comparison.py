@@ -1,0 +1,225 @@
+"""Comparisons: rows in order, failures with their reason, JSON as `plan` prints it, one real small comparison."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import leanboom as lb
+from leanboom import cli, comparison, figures, jobs, motion, runfolder
+from leanboom.comparison import Entry
+from leanboom.errors import InputError, LeanboomError
+
+BROKEN = "acceleration of tilt is 0.6000 m/s^2 at 1.000 s (stage 20), beyond its limit 0.5000 by 0.1000"
+# What each method makes of the task: LS energy [J], or its status.
+FATES = {
+    "dp (ls)": 10e3,
+    "dp (cp)": 12e3,
+    "sns-actuator": BROKEN,
+    "polish (ls)": 11e3,
+    "polish (cp)": 13e3,
+    "shooting (ls)": LeanboomError("not converged: Maximum_Iterations_Exceeded after 300 iterations"),
+    "shooting (cp)": ValueError("a bug"),
+}
+METHODS = ["shooting", "sns-actuator", "polish", "dp:cp", "dp:ls"]
+
+
+@pytest.fixture(scope="module")
+def task():
+    return lb.load_task("forwarder-vertical")
+
+
+@pytest.fixture
+def faked(monkeypatch, task):
+    """Replaces the solver by one that is done at once, and the processes by a loop."""
+    asked = []
+
+    def solve(job):
+        one, entry, pumps = job
+        asked.append(job)
+        fate = FATES[entry.label]
+        if isinstance(fate, Exception):
+            raise fate
+        status, energy = ("solved", fate) if isinstance(fate, float) else (fate, 9e3)
+        numbers = dict.fromkeys(runfolder.KEYS, 1.0) | {"task": one.name, "method": entry.method, "cost": entry.cost}
+        # The other way round for the other pump.
+        energies = {"ls": energy, "cp": 30e3 - energy}
+        made = {p: numbers | {"pump": p, "status": status, "energy_j": energies[p]} for p in pumps}
+        return made, motion.from_velocities(0.1, 0.5, np.zeros(61), entry.method, entry.cost)
+
+    def each(function, arguments, workers=None, done=None):
+        outcomes = []
+        for index, argument in enumerate(arguments):
+            try:
+                outcomes.append(jobs.Outcome(function(argument)))
+            except LeanboomError as error:
+                outcomes.append(jobs.Outcome(failure=str(error), refused=True))
+            except ValueError as error:
+                outcomes.append(jobs.Outcome(failure=f"ValueError: {error}"))
+            if done is not None:
+                done(index, outcomes[-1])
+        return outcomes
+
+    monkeypatch.setattr(comparison, "solve", solve)
+    monkeypatch.setattr(comparison.jobs, "each", each)
+    return asked
+
+
+def labels(rows):
+    return [row.label for row in rows]
+
+
+def leanboom(*arguments):
+    return CliRunner().invoke(cli.app, arguments, env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
+
+
+def test_feasible_rows_lead_by_energy_then_broken_ones_then_failures(faked, task):
+    result = lb.compare(task, methods=METHODS)
+    assert labels(result.block("ls", "smallest")) == [
+        "dp (ls)", "polish (ls)", "dp (cp)", "polish (cp)", "sns-actuator", "shooting (ls)", "shooting (cp)",
+    ]  # fmt: skip
+    assert labels(result.block("cp", "smallest"))[:4] == ["polish (cp)", "dp (cp)", "polish (ls)", "dp (ls)"]
+    best = result.best("ls", "smallest")
+    # The pseudo-inverse takes less energy, but breaks a limit.
+    assert best is not None and best.label == "dp (ls)" and best.energy == 10e3
+    broken = result.block("ls", "smallest")[4]
+    assert (broken.energy, broken.status, broken.feasible) == (9e3, BROKEN, False)
+    assert repr(result).startswith("Comparison(forwarder-vertical: 14 rows; ls from smallest: dp (ls) 10.00 kJ")
+
+
+def test_one_solution_serves_both_pumps(faked, task):
+    lb.compare(task, methods=["dp:ls"])
+    assert [(entry.label, pumps) for _, entry, pumps in faked] == [("dp (ls)", ("ls", "cp"))]
+
+
+def test_a_failed_method_is_a_row_without_numbers(faked, task):
+    rows = {(row.label, row.pump): row for row in lb.compare(task, methods=["shooting", "dp:ls"]).rows}
+    failed = rows["shooting (ls)", "cp"]
+    assert tuple(failed.summary) == runfolder.KEYS
+    assert failed.status == "not converged: Maximum_Iterations_Exceeded after 300 iterations"
+    assert failed.motion is None and not failed.feasible
+    numbers = ("energy_j", "energy_ls_j", "energy_cp_j", "path_error_m", "solve_s", "peak_memory_bytes")
+    assert all(failed.summary[key] is None for key in numbers)
+    assert set(failed.summary["limit_use"].values()) == {None}
+    assert failed.summary["start_m"] == pytest.approx(0.4102, abs=1e-3)
+    assert rows["shooting (cp)", "ls"].status == "ValueError: a bug"
+
+
+def test_every_method_is_compared_unless_it_takes_minutes():
+    found = labels(comparison.entries(None, ("ls", "cp")))
+    assert found[:5] == ["dp (ls)", "dp (cp)", "dp (actuator)", "dp (velocity)", "dp (extension)"]
+    assert {"dp1 (ls)", "dp1 (cp)", "polish (ls)", "shooting (cp)", "pseudospectral (ls)"} < set(found)
+    assert found[-3:] == ["sns-joint", "sns-actuator", "sns-actuator-weighted"]
+    assert not any("dp-paper" in label for label in found)
+    assert labels(comparison.entries(["dp-paper"], ("cp",))) == ["dp-paper (cp)"]
+    assert labels(comparison.entries(["dp(ls)", "dp:ls"], ("cp",))) == ["dp (ls)"]
+
+
+@pytest.mark.parametrize(
+    ("methods", "message"),
+    [
+        (["best"], "method = best; must be one of dp, polish, pseudospectral, shooting, dp1, dp-paper, sns-joint,"),
+        (["dp:heat"], "cost = heat; must be one of "),
+        (["sns-joint:ls"], "method = sns-joint:ls; a pseudo-inverse minimises joint-velocity at every instant"),
+        (["shooting:velocity"], "method = shooting:velocity; has smooth costs for ls, cp alone"),
+        ([], "methods = nothing; choose some of dp, "),
+    ],
+)
+def test_methods_that_do_not_exist_or_do_not_apply(task, methods, message):
+    with pytest.raises(InputError) as error:
+        lb.compare(task, methods=methods)
+    assert str(error.value).startswith(message)
+
+
+def test_other_arguments_that_cannot_be_used(task):
+    with pytest.raises(InputError, match=r"^pump = hp; must be some of ls, cp$"):
+        lb.compare(task, "hp")
+    with pytest.raises(InputError, match=r"^start = 0\.1 m; feasible at the beginning of this path: "):
+        lb.compare(task, start=0.1)
+
+
+def test_a_point_wise_method_cannot_choose_the_start(task):
+    """Not an error of the comparison: the other methods can."""
+    result = lb.compare(task, "ls", start="best", methods=["sns-joint"], workers=1)
+    assert result.best("ls", "best") is None
+    assert result.rows[0].status == "start = best; method sns-joint needs smallest, middle or a length"
+
+
+def test_json_is_a_list_of_what_plan_prints(faked):
+    answer = leanboom(*"compare forwarder-vertical --json --methods dp:ls,shooting --start smallest,middle".split())
+    assert answer.exit_code == 0
+    rows = json.loads(answer.stdout)
+    assert len(rows) == 2 * 2 * 3 and all(tuple(row) == runfolder.KEYS for row in rows)
+    assert {row["pump"] for row in rows} == {"ls", "cp"}
+    assert "leanboom: dp (ls) from middle done: 4 of 6" in answer.stderr
+
+
+def test_people_get_a_table_with_the_reasons(faked):
+    answer = leanboom("compare", "forwarder-vertical", "--methods", ",".join(METHODS), "--pump", "ls")
+    assert answer.exit_code == 0
+    lines = [line.split() for line in answer.stdout.splitlines()]
+    assert ["dp", "(ls)", "10.00", "1.000", "1.0", "best"] in lines
+    assert any("not converged: Maximum_Iterations_Exceeded" in line for line in answer.stdout.splitlines())
+
+
+def test_without_a_feasible_row_the_exit_code_says_so(faked):
+    answer = leanboom("compare", "forwarder-vertical", "--methods", "sns-actuator")
+    assert answer.exit_code == 1
+    assert "no method found a feasible motion" in answer.stderr
+    assert "best" not in answer.stdout
+
+
+def test_the_folder_holds_rows_bars_and_motions(faked, tmp_path):
+    out = tmp_path / "new"
+    arguments = ("compare", "forwarder-vertical", "--methods", ",".join(METHODS), "--out", str(out))
+    assert leanboom(*arguments).exit_code == 0
+    assert sorted(path.name for path in out.iterdir()) == ["comparison.json", "energies.png", "trajectories.png"]
+    assert len(json.loads((out / "comparison.json").read_text())) == 14
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in out.glob("*.png"))
+    assert leanboom(*arguments).exit_code == 0  # an earlier comparison gives way
+    (out / "diary.txt").write_text("dear")
+    answer = leanboom(*arguments)
+    assert answer.exit_code == 2 and "holds diary.txt" in answer.stderr
+
+
+def test_the_same_rows_give_the_same_picture(faked, task):
+    result = lb.compare(task, methods=METHODS)
+    assert figures.energies(result) == figures.energies(result)
+
+
+def test_solving_calls_the_planner_as_plan_does(monkeypatch, task):
+    """Status and numbers are those of the planner, for each pump; a pseudo-inverse has a cost of its own."""
+    called = []
+    judged = lb.evaluate(task, motion.from_velocities(0.1, 0.6, np.zeros(61), "sns-joint", "ls"))
+
+    def run(one, **settings):
+        called.append(settings)
+        return lb.Plan(one, "ls", judged.motion, judged, None, 7)
+
+    monkeypatch.setattr(comparison.planner, "run", run)
+    found, made = comparison.solve((task, Entry("sns-joint", "joint-velocity"), ("ls", "cp")))
+    assert called == [{"pump": "ls", "cost": None, "method": "sns-joint", "baseline": False}]
+    assert made is judged.motion
+    assert found["cp"]["energy_j"] == judged.energy_cp and found["ls"]["energy_j"] == judged.energy_ls
+    assert found["ls"]["cost"] == "joint-velocity"
+
+
+def test_a_program_that_did_not_converge_is_no_result(monkeypatch, task):
+    still = motion.from_velocities(0.1, 0.6, np.zeros(61), "shooting", "ls", status="not converged: Restoration_Failed")
+    judged = lb.evaluate(task, still)
+    monkeypatch.setattr(comparison.planner, "run", lambda one, **_: lb.Plan(one, "ls", still, judged, None, 7))
+    with pytest.raises(LeanboomError, match=r"^not converged: Restoration_Failed$"):
+        comparison.solve((task, Entry("shooting", "ls"), ("ls",)))
+
+
+def test_a_real_comparison(task):
+    short = replace(task, start="middle")
+    result = lb.compare(short, "cp", methods=["dp:cp", "sns-actuator"])
+    dp, pointwise = result.rows
+    assert dp.label == "dp (cp)" and dp.feasible and pointwise.motion is not None
+    assert dp.energy == pytest.approx(lb.evaluate(short, dp.motion).energy_cp, rel=1e-12)
+    assert (dp.energy or 0.0) < (pointwise.energy or 0.0)

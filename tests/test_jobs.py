@@ -1,0 +1,56 @@
+"""Calls in processes of their own: values in order, reasons of failures, nothing of one in another."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+
+from leanboom import jobs
+from leanboom.errors import InputError
+
+
+def fate(what):
+    """A call that ends as it is told."""
+    if what == "refuse":
+        raise InputError("grid = 2x2; needs at least 3 positions")
+    if what == "stumble":
+        raise ZeroDivisionError("division by zero")
+    if what == "crash":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if what == "leave":
+        os._exit(3)
+    if what == "print":
+        print("not for standard output", flush=True)
+        os.write(1, b"nor this")
+    return what, os.getpid()
+
+
+def test_values_come_in_order_and_from_other_processes(capfd):
+    seen = []
+    outcomes = jobs.each(fate, ["a", "print", "c"], workers=2, done=lambda index, outcome: seen.append(index))
+    assert [outcome.value[0] for outcome in outcomes] == ["a", "print", "c"]
+    processes = {outcome.value[1] for outcome in outcomes}
+    assert len(processes) == 3 and os.getpid() not in processes
+    assert sorted(seen) == [0, 1, 2]
+    assert capfd.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    ("what", "reason", "refused"),
+    [
+        ("refuse", "grid = 2x2; needs at least 3 positions", True),
+        ("stumble", "ZeroDivisionError: division by zero", False),
+        ("crash", "its process ended unexpectedly (signal 9, Killed)", False),
+        ("leave", "its process ended unexpectedly (exit code 3)", False),
+    ],
+)
+def test_a_failure_is_a_reason_and_spares_the_others(what, reason, refused):
+    bad, good = jobs.each(fate, [what, "fine"], workers=1)
+    assert (bad.failed, bad.failure, bad.refused) == (True, reason, refused)
+    assert good.value[0] == "fine" and not good.failed
+
+
+def test_nothing_to_do():
+    assert jobs.each(fate, []) == []

@@ -1,0 +1,208 @@
+"""Reproductions: printed values as the papers have them, work done once, lines and page of given records."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+from typer.testing import CliRunner
+
+from leanboom import cli, experiments, jobs, printed, reproduction, results
+from leanboom.errors import InputError
+from leanboom.experiments import COARSE, EXPERIMENTS, Job
+from leanboom.planner import METHODS
+
+EMPTY = {"time_s": [0.0, 1.0], "stroke_m": [0.1, 0.2], "supply_ls_pa": [2e6, 2e6]}
+
+
+def record(job):
+    """A record whose numbers tell its job: heavier means dearer, dp cheaper than the rest."""
+    energy = (1.0 if job.method == "dp" else 1.5) * (1.0 if job.cost in ("ls", "cp") else 1.2) * 1e4
+    energy *= sum(body.mass for body in job.task.machine.bodies)
+    numbers = {"energy_ls_j": energy, "energy_cp_j": 2.0 * energy, "flow_m3": 1e-6 * energy, "pressure_pa": 1e7}
+    status = "acceleration of tilt is 1.0 m/s^2" if job.method.startswith("sns") else "solved"
+    return {"status": status, **numbers, "solve_s": 1.0, "cpu_s": 1.0, **EMPTY}
+
+
+@pytest.fixture
+def solved(monkeypatch):
+    """Replaces the processes by a loop over a solver that is done at once; keeps what was solved."""
+    done = []
+
+    def each(function, arguments, workers, report):
+        for index, job in enumerate(arguments):
+            done.append(job)
+            report(index, jobs.Outcome(record(job)))
+
+    monkeypatch.setattr(reproduction.jobs, "each", each)
+    return done
+
+
+def leanboom(*arguments):
+    return CliRunner().invoke(cli.app, arguments, env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
+
+
+def test_printed_tables_are_those_of_the_paper():
+    """Typed off Tables 2 and 3 a second time."""
+    assert [(row.name, row.value) for row in printed.TABLE2] == [
+        ("DP (CP)", 1.0), ("DIDO (CP)", 1.003), ("DP (LS)", 1.062), ("DP (Act. velocity)", 1.087),
+        ("DP (Pos. actuator)", 1.098), ("Act. p-inv. (Unweighted)", 1.127), ("fmincon (CP)", 1.166),
+        ("Act. p-inv. (Weighted)", 1.308),
+    ]  # fmt: skip
+    assert [(row.name, row.value) for row in printed.TABLE3] == [
+        ("DP (LS)", 1.0), ("DIDO (LS)", 1.087), ("DP (Pos. actuator)", 1.109), ("fmincon (LS)", 1.154),
+        ("DP (CP)", 1.201), ("DP (Act. velocity)", 1.247), ("Act. p-inv. (Unweighted)", 1.259),
+        ("Act. p-inv. (Weighted)", 1.413),
+    ]  # fmt: skip
+    assert printed.EXCESS == {("horizontal", "ls"): 1.25, ("horizontal", "cp"): 1.3, ("vertical", "ls"): 2.0}
+    assert printed.TILT_ROD["flow"] == {"large": -5.0, "medium": -4.0, "small": -4.0}
+
+
+def test_every_job_is_one_that_can_be_solved():
+    for experiment in EXPERIMENTS.values():
+        for job in experiment.jobs().values():
+            assert job.method in METHODS or job.method == COARSE
+            assert job.task.start in ("smallest", "middle")
+
+
+def test_names_of_experiments():
+    assert reproduction.names([]) == reproduction.names(["all"]) == tuple(EXPERIMENTS)
+    assert reproduction.names(["fig8", "table2"]) == ("table2", "fig8")
+    with pytest.raises(InputError, match=r"^experiment = table4; must be all or some of table2, table3, fig8, fig10, "):
+        reproduction.names(["table2", "table4"])
+
+
+def test_a_second_run_solves_nothing(solved, tmp_path):
+    first = reproduction.reproduce(["table2"], tmp_path)
+    assert len(solved) == 8
+    solved.clear()
+    second = reproduction.reproduce(["table2"], tmp_path)
+    assert solved == []
+    assert second.json() == first.json()
+    # Table 3 has five solutions in common with Table 2.
+    reproduction.reproduce(["table3"], tmp_path)
+    assert {(job.method, job.cost) for job in solved} == {("pseudospectral", "ls"), ("shooting", "ls")}
+
+
+def test_an_interrupted_run_goes_on(solved, tmp_path, monkeypatch):
+    complete = record
+
+    def interrupted(job):
+        if len(solved) == 4:
+            raise KeyboardInterrupt
+        return complete(job)
+
+    monkeypatch.setitem(globals(), "record", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        reproduction.reproduce(["table2"], tmp_path)
+    monkeypatch.setitem(globals(), "record", complete)
+    assert len(list((tmp_path / "solved").glob("*.json"))) == 3
+    solved.clear()
+    reproduction.reproduce(["table2"], tmp_path)
+    assert len(solved) == 5
+
+
+def test_damaged_records_are_solved_again(solved, tmp_path):
+    reproduction.reproduce(["table2"], tmp_path)
+    solved.clear()
+    first, second, *_ = sorted((tmp_path / "solved").glob("*.json"))
+    first.write_text("{")
+    second.write_text('{"status": "solved"}')
+    reproduction.reproduce(["table2"], tmp_path)
+    assert len(solved) == 2
+
+
+def test_a_refusal_is_kept_and_a_crash_is_not(monkeypatch, tmp_path):
+    calls = []
+
+    def each(function, arguments, workers, report):
+        for index, job in enumerate(arguments):
+            calls.append(job.method)
+            refused = job.method == "shooting"
+            text = "not converged: Restoration_Failed" if refused else "its process ended unexpectedly"
+            good = jobs.Outcome(record(job))
+            report(index, jobs.Outcome(failure=text, refused=refused) if refused or job.cost == "ls" else good)
+
+    monkeypatch.setattr(reproduction.jobs, "each", each)
+    found = {line.row: line for line in reproduction.reproduce(["table2"], tmp_path).lines}
+    assert found["fmincon (CP)"].ours is None and found["fmincon (CP)"].why == "not converged: Restoration_Failed"
+    assert found["fmincon (CP)"].difference is None
+    calls.clear()
+    reproduction.reproduce(["table2"], tmp_path)
+    assert calls == ["dp"]
+
+
+def test_the_name_of_a_solution_tells_all_it_depends_on():
+    job = EXPERIMENTS["table2"].jobs()["DP (CP)"]
+    heavier = experiments.heavier(job.task, 1.0 + 1e-12)
+    others = [
+        replace(job, cost="ls"), replace(job, method="polish"), replace(job, grid=(3, 3)), replace(job, task=heavier),
+        replace(job, task=replace(job.task, start="middle")),
+    ]  # fmt: skip
+    assert len({reproduction.key(each) for each in [job, *others]}) == 6
+    assert reproduction.key(job) == reproduction.key(EXPERIMENTS["table3"].jobs()["DP (CP)"])
+
+
+def test_all_lines_and_the_page_can_be_made(solved, tmp_path):
+    result = reproduction.reproduce([], tmp_path)
+    rows = result.json()
+    assert {row["experiment"] for row in rows} == set(EXPERIMENTS)
+    assert all(tuple(row) == ("experiment", "row", "printed", "ours", "difference") for row in rows)
+    assert len({(row["experiment"], row["row"]) for row in rows}) == len(rows)
+    row = next(row for row in rows if row["row"] == "Act. p-inv. (Unweighted)" and row["experiment"] == "table2")
+    assert row["ours"] == pytest.approx(1.8) and row["difference"] == pytest.approx(1.8 - 1.127)
+    text = results.page(result)
+    assert "{{" not in text and all(f"## {experiment.title}" in text for experiment in EXPERIMENTS.values())
+    for name in EXPERIMENTS:
+        assert json.loads((tmp_path / f"{name}.json").read_text()) == [r for r in rows if r["experiment"] == name]
+
+
+def test_the_command_prints_json_and_writes_the_page(solved, tmp_path):
+    answer = leanboom("reproduce", "table2", "--json", "--out", str(tmp_path))
+    assert answer.exit_code == 0
+    assert [row["row"] for row in json.loads(answer.stdout)] == [row.name for row in printed.TABLE2]
+    page = (tmp_path / "results.md").read_text()
+    assert "| DIDO (CP) | 1.003 |" in page and "Table 3" not in page
+    assert (tmp_path / "figures" / "table2.png").read_bytes().startswith(b"\x89PNG")
+    answer = leanboom("reproduce", "table2", "--out", str(tmp_path), "--docs", str(tmp_path / "docs"))
+    assert answer.exit_code == 0 and (tmp_path / "docs" / "results.md").read_text() == page
+    assert "1.308" in answer.stdout
+
+
+def test_an_unusable_folder_is_told_before_anything_is_solved(solved, tmp_path):
+    (tmp_path / "file").write_text("")
+    answer = leanboom("reproduce", "table2", "--out", str(tmp_path / "file"))
+    assert answer.exit_code == 2 and answer.stderr.startswith("leanboom: out = ")
+    assert solved == []
+
+
+def test_pin_distances_are_derived_again():
+    """From the dead length that the bundled loader has, the bundled pin distances (rounded there to 1 mm and 1 um)."""
+    machine = EXPERIMENTS["table2"].jobs()["DP (CP)"].task.machine
+    for old, new in zip(machine.cylinders[:2], experiments.lengthened(machine, 0.280).cylinders[:2], strict=True):
+        for name in ("long", "short", "angle"):
+            assert getattr(new.linkage, name) == pytest.approx(getattr(old.linkage, name), abs=1e-3)
+    longer = experiments.lengthened(machine, 0.35)
+    from leanboom import linkages
+
+    for joint, cylinder in zip(longer.joints[:2], longer.cylinders[:2], strict=True):
+        ends = [float(linkages.cylinder(cylinder.linkage, q)[0]) for q in (joint.lower, joint.upper)]
+        assert ends == pytest.approx([0.545 + 0.35, 2 * 0.545 + 0.35], abs=1e-9)
+
+
+def test_other_cylinders_have_other_areas():
+    machine = EXPERIMENTS["table2"].jobs()["DP (CP)"].task.machine
+    tilt = experiments.resized(machine, "tilt", 0.080, 0.056).cylinders[1]
+    assert tilt.piston_area == pytest.approx(machine.cylinders[1].piston_area)
+    assert tilt.rod_side_area == pytest.approx(25.635e-4, rel=1e-4)
+
+
+def test_solving_filters_after_planning():
+    """The record's energy is that of the filtered motion, its status that of the plan."""
+    job = EXPERIMENTS["horizontal"].jobs()["smallest, P-inv. (j.)"]
+    coarse = reproduction.solve(Job(job.task, COARSE, "cp", (21, 11)))
+    assert set(coarse) == set(record(job))
+    assert coarse["flow_m3"] == pytest.approx(coarse["energy_cp_j"] / 20e6, rel=1e-6)
+    assert 150e3 > coarse["energy_cp_j"] > 70e3
+    assert coarse["time_s"][-1] == 10.0 and coarse["stroke_m"][0] == pytest.approx(0.0, abs=1e-6)
