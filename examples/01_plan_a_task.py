@@ -10,7 +10,7 @@ from pathlib import Path
 import leanboom as lb
 from leanboom import runfolder
 
-GRID, STEP = (101, 51), 0.1  # coarser than the defaults: quicker, but see docs/choosing.md
+GRID, STEP = (201, 101), 0.1  # a longer step than the default: quicker
 
 
 def main():

@@ -90,7 +90,8 @@ def plan(
         str,
         typer.Option(
             metavar="NAME",
-            help="dp (the global optimum), polish, dp-paper, dp1, sns-joint, sns-actuator, sns-actuator-weighted.",
+            help="dp (the global optimum), polish, pseudospectral, shooting, dp-paper, dp1, sns-joint, sns-actuator, "
+            "sns-actuator-weighted.",
         ),
     ] = "dp",
     start: Annotated[

@@ -7,6 +7,7 @@ in the papers; the grids are those of `plan`, but for the convergence studies an
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import pi
@@ -168,10 +169,12 @@ def _triangle(old: Triangle, lower: float, upper: float, least: float, most: flo
     return Triangle(*(float(value) for value in answer.x))
 
 
+@functools.cache
 def _triangle_task(size: str) -> Task:
     return files.load_task(f"loader-triangle-{size}", start="smallest")
 
 
+@functools.cache
 def _forwarder_task(path: str, start: str) -> Task:
     return files.load_task(f"forwarder-{path}", start=start)
 
@@ -325,7 +328,8 @@ def _why_excess(value: float | None, ours: float | None) -> str:
 SWEPT = ("ls", "cp", "velocity", "actuator")
 
 
-def variations() -> dict[str, Task]:
+@functools.cache
+def variations() -> Mapping[str, Task]:
     """The varied triangle tasks by name, the unvaried first."""
     base = _triangle_task("large")
     tasks = {"as bundled": base}
@@ -338,7 +342,8 @@ def variations() -> dict[str, Task]:
     return tasks
 
 
-def path_variations(path: str) -> dict[str, Task]:
+@functools.cache
+def path_variations(path: str) -> Mapping[str, Task]:
     """The varied tasks of a forwarder path by name, the unvaried first.
 
     Args:

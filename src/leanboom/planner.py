@@ -26,6 +26,8 @@ from leanboom.task import Lines, Spline, Task
 METHODS = {
     "dp": "dynamic programming, refined in tubes and polished: the global optimum",
     "polish": "nonlinear programming alone: the polish started from the pseudo-inverse",
+    "pseudospectral": "Legendre-Gauss-Radau collocation of the smoothed problem, bootstrapped",
+    "shooting": "direct multiple shooting in all joints",
     "dp-paper": "Algorithm 1 of the 4-DOF paper to the letter",
     "dp1": "one-state dynamic programming, velocity as control (3-DOF paper)",
     "sns-joint": "joint-limited pseudo-inverse, least joint velocities",
@@ -133,8 +135,10 @@ def run(
     solver = _Run(task, cost, grid, step, tell, began)
     best = solver.by(method)
     seconds = time.perf_counter() - began
-    status = best.status if best.feasible else solver.explain(best)
-    done = replace(best.motion, method=method, cost=cost, solve_s=seconds, log=tuple(solver.log), status=status)
+    status = best.status if best.feasible or method != "dp" else solver.explain(best)
+    done = replace(
+        best.motion, method=method, cost=cost, solve_s=seconds, log=best.motion.log or tuple(solver.log), status=status
+    )
     best = replace(best, motion=done)
     if not best.feasible:
         best = replace(best, violations=(status, *best.violations[1:]))
@@ -181,20 +185,34 @@ class _Run:
         start = dp.start_position(stages.discretise(self.task, self.step), self.task.start)
         if start is None:
             raise InputError(f"start = best; method {method} needs smallest, middle or a length")
+        answer = self.other_method(method, start)
+        judged = evaluate(self.task, answer)
+        if answer.status != "solved" and judged.feasible:
+            judged = replace(judged, violations=(answer.status,))
+        return judged
+
+    def other_method(self, method: str, start: float) -> Motion:
+        """The motion of a method that is not this package's own, from a start [m]."""
+        tell = self.tell
         if method.startswith("sns-"):
             from leanboom import pseudo_inverse
 
-            return evaluate(self.task, pseudo_inverse.resolve(self.task, start, method.rsplit("-", maxsplit=1)[-1]))
+            return pseudo_inverse.resolve(self.task, start, method.rsplit("-", maxsplit=1)[-1])
         if method == "dp1":
             from leanboom import dp1
 
-            return evaluate(self.task, dp1.plan(self.task, self.cost, start))
+            return dp1.plan(self.task, self.cost, start)
+        if method == "shooting":
+            from leanboom import shooting
+
+            return shooting.plan(self.task, self.cost, start, tell)
+        if method == "pseudospectral":
+            from leanboom import collocation
+
+            return collocation.plan(self.task, self.cost, start, tell)
         from leanboom import dp_paper
 
-        tell = self.tell
-        return evaluate(
-            self.task, dp_paper.plan(self.task, self.cost, start, progress=lambda share: tell("Algorithm 1", share))
-        )
+        return dp_paper.plan(self.task, self.cost, start, progress=lambda share: tell("Algorithm 1", share))
 
     def dynamic_program(self) -> Evaluation:
         """Design points 1 to 8: coarse sweeps, tubes, polish, judge."""
