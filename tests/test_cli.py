@@ -59,7 +59,7 @@ def test_help_names_every_command_method_and_cost():
     listed = {
         option: re.split(r"[,.]? ", part[1])
         for option, part in {
-            "methods": re.search(r"dp \(the global optimum\), (.*?)\. \[", text),
+            "methods": re.search(r"dp \(the planner\), (.*?)\. \[", text),
             "costs": re.search(r"if not the pump's energy: (.*?)\. ", text),
         }.items()
         if part

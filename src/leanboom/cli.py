@@ -90,7 +90,7 @@ def plan(
         str,
         typer.Option(
             metavar="NAME",
-            help="dp (the global optimum), polish, pseudospectral, shooting, dp-paper, dp1, sns-joint, sns-actuator, "
+            help="dp (the planner), polish, pseudospectral, shooting, dp-paper, dp1, sns-joint, sns-actuator, "
             "sns-actuator-weighted.",
         ),
     ] = "dp",

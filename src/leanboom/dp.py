@@ -75,7 +75,7 @@ def energy_scale(problem: Problem, cost: str) -> float:
         work = sum(hydraulics.positive_work(v, f) for v, f in zip(moving.velocity, forces, strict=True))
         return float(np.mean(work + 0.05 * crane.machine.pump.constant_pressure * flow) * duration)
     # Recuperation pays back as well as it takes: its gains reach well beyond its total.
-    spread = 3.0 if cost == "recuperation" else 1.0
+    spread = 10.0 if cost == "recuperation" else 1.0
     return float(spread * np.mean(crane.machine.pump.constant_pressure * flow) * duration)
 
 

@@ -194,13 +194,16 @@ def _bars(panel: Axes, order: Sequence[str], values: Mapping[str, Mapping[str, f
             )
     panel.set_yticks(at, list(order), fontsize=8)
     panel.set_xlabel(_noted("pump energy [kJ]", order), fontsize=8)
-    panel.legend(fontsize=8, loc="upper right", frameon=False)
-    panel.margins(x=0.12)
+    panel.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
+    panel.margins(x=0.1)
 
 
 def _curves(panel: Axes, curves: Mapping[str, tuple[Any, Any, bool]]) -> None:
+    """Curves by label: times, strokes, and whether it is the best."""
     for (label, (time, stroke, best)), colour in zip(curves.items(), (LINES * len(curves))[: len(curves)], strict=True):
-        panel.plot(time, stroke, color=colour, linewidth=2.4 if best else 1.0, label=label, zorder=3 if best else 2)
+        panel.plot(time, stroke, color=colour, linewidth=1.0, label=label)
+        if best:  # a broad band below the others, so that it hides none of them
+            panel.plot(time, stroke, color=colour, linewidth=6.0, alpha=0.3, zorder=1)
     panel.set_xlabel(_noted("time [s]", list(curves)), fontsize=8)
     panel.set_ylabel("extension cylinder [m]", fontsize=8)
     panel.legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))

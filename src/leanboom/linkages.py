@@ -37,16 +37,16 @@ def four_bar(q, L21, L22, L23, L24, L25, a21, a22, b21):
     L26 = np.sqrt(L22 * L22 + L23 * L23 - 2.0 * L22 * L23 * cosine)
     dL26 = L22 * L23 * sine / L26
     ddL26 = (L22 * L23 * cosine - dL26 * dL26) / L26
-    # b23 = asin(L23 / L26 sin a23); as a triangle angle, its derivative needs no asin: (L23 cos a23 - ...)/...
+    # b23 = asin(L23 / L26 sin a23): its derivatives follow from those of its sine.
     b23 = np.arcsin(L23 * sine / L26)
     cos23 = (L26 * L26 + L22 * L22 - L23 * L23) / (2.0 * L22 * L26)  # law of cosines for the same angle
-    db23 = (L23 * cosine / L26 - L23 * sine * dL26 / (L26 * L26)) / cos23
     dsin = L23 * (cosine / L26 - sine * dL26 / (L26 * L26))
     ddsin = L23 * (
         -sine / L26
         - 2.0 * cosine * dL26 / (L26 * L26)
         - sine * (ddL26 / (L26 * L26) - 2.0 * dL26 * dL26 / (L26 * L26 * L26))
     )
+    db23 = dsin / cos23
     ddb23 = (ddsin + np.sin(b23) * dsin * dsin / (cos23 * cos23)) / cos23
     # b24 = acos((L25^2 + L26^2 - L24^2) / (2 L25 L26)): angle between lever and L26.
     k = L25 * L25 - L24 * L24

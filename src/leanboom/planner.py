@@ -24,7 +24,7 @@ from leanboom.stages import Problem
 from leanboom.task import Lines, Spline, Task
 
 METHODS = {
-    "dp": "dynamic programming, refined in tubes and polished: the global optimum",
+    "dp": "dynamic programming over all extensions, refined in tubes and polished",
     "polish": "nonlinear programming alone: the polish started from the pseudo-inverse",
     "pseudospectral": "Legendre-Gauss-Radau collocation of the smoothed problem, bootstrapped",
     "shooting": "direct multiple shooting in all joints",
@@ -249,7 +249,7 @@ class _Run:
             before = judged_cost(self.best, self.cost)
             self.polisher = None
             self.polish(stages.discretise(self.task, self.step / factor), free, rounds=1)
-            if judged_cost(self.best, self.cost) >= before * (1.0 - FINER):
+            if not gains(before, judged_cost(self.best, self.cost), FINER):
                 break
         self.polisher = None
 
@@ -276,7 +276,7 @@ class _Run:
                 found = self.judge(dp.rollout(policy, first), f"tube of {half * width:.4f} m, {half * spread:.4f} m/s")
                 if beats(found, chain, self.cost):
                     chain = found
-                if judged_cost(chain, self.cost) >= before * (1.0 - REPEAT):
+                if not gains(before, judged_cost(chain, self.cost), REPEAT):
                     break
 
     def polish(self, problem: Problem, free: bool, rounds: int = 4) -> bool:
@@ -287,6 +287,9 @@ class _Run:
         """
         from leanboom import polish
 
+        assert self.best is not None
+        if not np.isfinite(judged_cost(self.best, self.cost)):
+            return False  # out of reach somewhere: nothing to start from
         self.tell("polish", 0.75)
         if self.polisher is None:
             self.polisher = polish.build(problem, self.cost)
@@ -306,7 +309,7 @@ class _Run:
                 self.note(f"polish: {text}")
                 break
             self.judge(answer, f"polish ({text})")
-            if judged_cost(self.best, self.cost) >= before * (1.0 - SETTLED):
+            if not gains(before, judged_cost(self.best, self.cost), SETTLED):
                 break
             gained = True
         return gained
@@ -375,6 +378,11 @@ def beats(one: Evaluation, other: Evaluation, cost: str) -> bool:
     if not one.feasible:
         return one.limit_use.worst < other.limit_use.worst
     return judged_cost(one, cost) < judged_cost(other, cost)
+
+
+def gains(before: float, after: float, share: float) -> bool:
+    """Whether a cost fell by more than a share of its size."""
+    return before - after > share * abs(before)
 
 
 def _on_stages(seed: Motion, problem: Problem) -> Motion:

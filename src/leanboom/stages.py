@@ -220,6 +220,8 @@ def tables(problem: Problem, grid: Grid, cost: str) -> Tables:
 def prescribed(problem: Problem, cost: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What the cylinders that the path alone moves add at every stage.
 
+    With `slewing_inertia` the base force depends on the extension a little; it is taken at the middle one.
+
     Args:
         problem: The discretised task.
         cost: A name of `objective.COSTS`.
