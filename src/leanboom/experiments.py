@@ -8,6 +8,7 @@ in the papers; the grids are those of `plan`, but for the convergence studies an
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import pi
@@ -213,8 +214,17 @@ def _table_lines(name: str, rows: tuple[printed.Entry, ...], pump: str, got: Rec
         if ours is None:
             lines.append(Line(name, row.name, row.value, None, mine["status"]))
         else:
-            lines.append(_line(name, row.name, row.value, ours, WHY.get((name, row.name), UNPRINTED)))
+            line = _line(name, row.name, row.value, ours, WHY.get((name, row.name), UNPRINTED))
+            lines.append(replace(line, why="; ".join(filter(None, (line.why, _broken(mine))))))
     return lines
+
+
+def _broken(record: Record) -> str:
+    """What a record's motion breaks, in few words; nothing if it keeps every limit."""
+    if record["status"] == "solved":
+        return ""
+    limit = re.search(r"(position|velocity|acceleration) of (\w+)", record["status"])
+    return f"breaks the {limit[1]} limit of {limit[2]}" if limit else record["status"]
 
 
 # Figures 8 and 10: cost over grid size.
@@ -299,7 +309,7 @@ def _path_lines(path: str, got: Records) -> list[Line]:
             for name, record in mine.items():
                 joules = record[key]
                 ours = None if joules is None else joules / 1e3
-                lines.append(Line(path, f"{where}: {name} [kJ]", None, ours, "" if ours else record["status"]))
+                lines.append(Line(path, f"{where}: {name} [kJ]", None, ours, _broken(record)))
             best = mine["DP (LS)" if pump == "ls" else "DP (CP)"]
             for name in ("P-inv. (j.)", "P-inv. (a.)"):
                 value = printed.EXCESS.get((path, pump)) if start == "smallest" else None

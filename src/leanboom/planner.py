@@ -187,8 +187,8 @@ class _Run:
             raise InputError(f"start = best; method {method} needs smallest, middle or a length")
         answer = self.other_method(method, start)
         judged = evaluate(self.task, answer)
-        if answer.status != "solved" and judged.feasible:
-            judged = replace(judged, violations=(answer.status,))
+        if answer.status.startswith("not converged"):
+            judged = replace(judged, violations=(answer.status, *judged.violations))
         return judged
 
     def other_method(self, method: str, start: float) -> Motion:
