@@ -10,9 +10,10 @@ import pytest
 from typer.testing import CliRunner
 
 import leanboom as lb
-from leanboom import cli, comparison, figures, jobs, motion, runfolder
+from leanboom import cli, comparison, figures, jobs, motion, planner, runfolder
 from leanboom.comparison import Entry
 from leanboom.errors import InputError, LeanboomError
+from leanboom.experiments import EXPERIMENTS
 
 BROKEN = "acceleration of tilt is 0.6000 m/s^2 at 1.000 s (stage 20), beyond its limit 0.5000 by 0.1000"
 # What each method makes of the task: LS energy [J], or its status.
@@ -223,3 +224,11 @@ def test_a_real_comparison(task):
     assert dp.label == "dp (cp)" and dp.feasible and pointwise.motion is not None
     assert dp.energy == pytest.approx(lb.evaluate(short, dp.motion).energy_cp, rel=1e-12)
     assert (dp.energy or 0.0) < (pointwise.energy or 0.0)
+
+
+def test_help_names_every_method_and_experiment():
+    words = " ".join(leanboom("compare", "--help").stdout.replace("│", " ").split())
+    assert all(name in words for name in comparison.MINIMISED)
+    assert set(comparison.MINIMISED) == set(planner.METHODS)
+    words = " ".join(leanboom("reproduce", "--help").stdout.replace("│", " ").split())
+    assert all(name in words for name in EXPERIMENTS)

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,7 @@ from leanboom.stages import Grid, Problem, Tables
 SLOPES = (20.0, 1.5, 1.5, 0.2)
 
 
-WORTH_SHARING = 4000  # nodes of a stage that make another thread worth while
+WORTH_SHARING = 600  # nodes of a stage that make another thread worth while
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +152,7 @@ def solve(problem: Problem, grid: Grid, cost: str) -> Policy:
     return Policy(problem, cost, grid, table, setting, values)
 
 
-def _sweep_shared(problem_arrays: tuple, terminal: np.ndarray, values: np.ndarray, workers: int) -> None:
+def _sweep_shared(problem_arrays: Any, terminal: np.ndarray, values: np.ndarray, workers: int) -> None:
     """The backward pass with every stage's positions shared among threads; the same bits as `kernels.sweep`."""
     stages_, positions = values.shape[0] - 1, values.shape[1]
     bounds = np.linspace(0, positions, workers + 1).astype(int).tolist()
@@ -159,7 +160,7 @@ def _sweep_shared(problem_arrays: tuple, terminal: np.ndarray, values: np.ndarra
     values[stages_] = terminal
     with ThreadPoolExecutor(workers - 1) as pool:
         for k in range(stages_ - 1, -1, -1):
-            arrays = (*problem_arrays, ahead, here, values)
+            arrays: Any = (*problem_arrays, ahead, here, values)
             parts = [
                 pool.submit(kernels.sweep_stage, k, first, last, *arrays)
                 for first, last in zip(bounds[1:-1], bounds[2:], strict=True)

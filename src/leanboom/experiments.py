@@ -15,7 +15,7 @@ from math import pi
 from typing import Any
 
 from leanboom import files, printed
-from leanboom.machine import Machine, Triangle
+from leanboom.machine import Joint, Linkage, Machine, Triangle
 from leanboom.task import Lines, Task
 
 GRID = (201, 101)
@@ -127,6 +127,26 @@ def moved(task: Task, x: float, z: float) -> Task:
     return replace(task, path=replace(task.path, points=points))
 
 
+def turned(machine: Machine) -> Machine:
+    """The loader with its tilt cylinder mounted the other way round: it extends to fold, its rod side holds the load.
+
+    The same retracted length and stroke; the same pressure holds the load at full reach, so the arm there is larger by
+    the ratio of the areas.
+
+    Args:
+        machine: The machine; its tilt is a triangle.
+    """
+    joint, cylinder = machine.joints[1], machine.cylinders[1]
+    old = cylinder.linkage
+    assert isinstance(old, Triangle)
+    short, long = _ends(cylinder.linkage, joint)
+    arm = _arm(old, joint.upper) * cylinder.piston_area / cylinder.rod_side_area
+    near = replace(old, angle=-(joint.lower + joint.upper + old.angle))
+    new = _triangle(near, joint, (long, short), lambda triangle: _arm(triangle, joint.upper) - arm)
+    cylinders = (machine.cylinders[0], replace(cylinder, linkage=new), *machine.cylinders[2:])
+    return replace(machine, cylinders=cylinders)
+
+
 def lengthened(machine: Machine, dead: float) -> Machine:
     """The loader with cylinders that have another dead length, its pin distances derived again.
 
@@ -138,34 +158,45 @@ def lengthened(machine: Machine, dead: float) -> Machine:
         dead: Retracted length less stroke [m].
     """
     cylinders = list(machine.cylinders)
-    for i, joint in enumerate(machine.joints[:2]):
-        old = cylinders[i].linkage
+    lift, tilt = machine.joints[:2]
+    kept = _arm(machine.cylinders[1].linkage, tilt.upper)
+    thirds = (
+        lambda triangle: _arm(triangle, lift.upper) - _arm(triangle, lift.lower),
+        lambda triangle: _arm(triangle, tilt.upper) - kept,
+    )
+    for i, (joint, third) in enumerate(zip((lift, tilt), thirds, strict=True)):
+        old, stroke = cylinders[i].linkage, cylinders[i].stroke
         assert isinstance(old, Triangle)
-        short = cylinders[i].stroke + dead
-        equal = joint.name == "lift"
-        new = _triangle(old, joint.lower, joint.upper, short, short + cylinders[i].stroke, equal)
+        new = _triangle(old, joint, (stroke + dead, 2.0 * stroke + dead), third)
         cylinders[i] = replace(cylinders[i], linkage=new)
     return replace(machine, cylinders=tuple(cylinders))
 
 
-def _triangle(old: Triangle, lower: float, upper: float, least: float, most: float, equal: bool) -> Triangle:
-    """The triangle with given lengths at both ends of a joint's range, near an old one.
-
-    Its third condition: equal torque arms at both ends, or the old arm at the upper end.
-    """
-    from scipy.optimize import root
-
+def _ends(linkage: Linkage, joint: Joint) -> tuple[float, float]:
+    """Lengths of a cylinder at both ends of its joint's range [m]."""
     from leanboom import linkages
 
-    kept = abs(float(linkages.cylinder(old, upper)[1]))
+    low, high = (float(linkages.cylinder(linkage, q)[0]) for q in (joint.lower, joint.upper))
+    return low, high
+
+
+def _arm(linkage: Linkage, q: float) -> float:
+    """Size of a cylinder's torque arm [m]."""
+    from leanboom import linkages
+
+    return abs(float(linkages.cylinder(linkage, q)[1]))
+
+
+def _triangle(near: Triangle, joint: Joint, ends: tuple[float, float], third: Callable[[Triangle], float]) -> Triangle:
+    """The triangle with given lengths at both ends of a joint's range and a third condition, near another one."""
+    from scipy.optimize import root
 
     def miss(values: Any) -> list[float]:
         triangle = Triangle(*(float(value) for value in values))
-        (c0, r0, _), (c1, r1, _) = (linkages.cylinder(triangle, q) for q in (lower, upper))
-        third = r1 - r0 if equal else abs(r1) - kept
-        return [float(c0 - least), float(c1 - most), float(third)]
+        low, high = _ends(triangle, joint)
+        return [low - ends[0], high - ends[1], third(triangle)]
 
-    answer = root(miss, [old.long, old.short, old.angle], tol=1e-12)
+    answer = root(miss, [near.long, near.short, near.angle], tol=1e-12)
     assert answer.success, answer.message
     return Triangle(*(float(value) for value in answer.x))
 
@@ -184,6 +215,7 @@ def _forwarder_task(path: str, start: str) -> Task:
 
 CLOSE = 0.02  # ratios that differ by less need no reason
 UNPRINTED = "pin distances and triangle corners are not printed"
+SIDES = "here the tilt cylinder holds the load on its piston side: see below"
 MODELLED = "printed: measured on the crane; here: planned, masses, friction and path assumed"
 WHY = {
     ("table2", "fmincon (CP)"): "another local method: this one ends at the optimum, the printed one did not",
@@ -262,6 +294,12 @@ def _sizing_jobs() -> dict[str, Job]:
                 other = replace(task, machine=resized(task.machine, *cylinder))
                 jobs[f"{change}, {size}, {cost}"] = Job(other, "dp", cost)
         jobs[f"{size}, pointwise"] = Job(task, "sns-actuator", "velocity")
+    task = _triangle_task("large")
+    other = replace(task, machine=turned(task.machine))
+    smaller = replace(task, machine=resized(other.machine, *CHANGES["tilt 80/56"]))
+    for cost in PUMPS:
+        jobs[f"turned, {cost}"] = Job(other, "dp", cost)
+        jobs[f"turned, tilt 80/56, {cost}"] = Job(smaller, "dp", cost)
     return jobs
 
 
@@ -269,23 +307,39 @@ def _sizing_lines(got: Records) -> list[Line]:
     lines = []
     said = {"tilt 80/56": printed.TILT_ROD, "extension 45/30": printed.EXTENSION_BORE}
     for change, claims in said.items():
+        why = SIDES if change == "tilt 80/56" else UNPRINTED
         for size in SIZES:
-            cp, ls = got[f"{change}, {size}, cp"], got[f"{change}, {size}, ls"]
-            old_cp, old_ls = got[f"{size}, cp"], got[f"{size}, ls"]
-            for what, key, ours in (
-                ("CP flow", "flow", percent(cp, old_cp, "flow_m3")),
-                ("highest pressure of the CP optimum", "pressure", percent(cp, old_cp, "pressure_pa")),
-                ("LS energy", "ls", percent(ls, old_ls, "energy_ls_j")),
-                ("highest pressure of the LS optimum", "", percent(ls, old_ls, "pressure_pa")),
-            ):
-                row = f"{change}, {size} triangle: change of {what} [%]"
-                lines.append(_line("sizing", row, claims.get(key, {}).get(size), ours, UNPRINTED, close=1.0))
+            pairs = {pump: (got[f"{change}, {size}, {pump}"], got[f"{size}, {pump}"]) for pump in PUMPS}
+            values = {key: by_size[size] for key, by_size in claims.items() if size in by_size}
+            lines += _changes(f"{change}, {size} triangle", pairs, values, why)
+    pairs = {pump: (got[f"turned, tilt 80/56, {pump}"], got[f"turned, {pump}"]) for pump in PUMPS}
+    values = {key: by_size["large"] for key, by_size in printed.TILT_ROD.items()}
+    lines += _changes("tilt 80/56, mounted the other way round, large triangle", pairs, values, UNPRINTED)
     for pump, key in PUMPS.items():
         for size in SIZES:
-            saving = percent(got[f"{size}, {pump}"], got[f"{size}, pointwise"], key)
-            saving = None if saving is None else -saving
-            row = f"{size} triangle: {pump.upper()} energy saved against the unweighted p-inv. [%]"
-            lines.append(Line("sizing", row, None, saving))
+            best, pointwise = got[f"{size}, {pump}"], got[f"{size}, pointwise"]
+            row = f"{size} triangle: {pump.upper()} energy saved against the unweighted p-inv."
+            saving = percent(best, pointwise, key)
+            lines.append(Line("sizing", f"{row} [%]", None, None if saving is None else -saving))
+            both = best[key], pointwise[key]
+            less = None if None in both else (both[1] - both[0]) / 1e3
+            lines.append(Line("sizing", f"{row} [kJ]", None, less))
+    return lines
+
+
+def _changes(
+    what: str, pairs: Mapping[str, tuple[Record, Record]], values: Mapping[str, float], why: str
+) -> list[Line]:
+    """What a change of a cylinder does, in percent; pairs are the new and old optimum of each pump."""
+    lines = []
+    for name, key, pump, quantity in (
+        ("CP flow", "flow", "cp", "flow_m3"),
+        ("highest pressure of the CP optimum", "pressure", "cp", "pressure_pa"),
+        ("LS energy", "ls", "ls", "energy_ls_j"),
+        ("highest pressure of the LS optimum", "", "ls", "pressure_pa"),
+    ):
+        ours = percent(*pairs[pump], quantity)
+        lines.append(_line("sizing", f"{what}: change of {name} [%]", values.get(key), ours, why, close=1.0))
     return lines
 
 
@@ -342,6 +396,7 @@ def variations() -> Mapping[str, Task]:
     tasks = {"as bundled": base}
     for dead in (0.20, 0.35):
         tasks[f"dead length {dead:.2f} m"] = replace(base, machine=lengthened(base.machine, dead))
+    tasks["tilt cylinder the other way round"] = replace(base, machine=turned(base.machine))
     for factor in (0.8, 1.2):
         tasks[f"masses {100 * (factor - 1):+.0f} %"] = heavier(base, factor)
     for x, z in ((0.2, 0.0), (0.0, 0.4), (0.0, -0.3)):

@@ -113,7 +113,7 @@ def beside(title: str, lines: Sequence[Line]) -> bytes:
         numbers = [0.0 if value is None else value for value in values]
         panel.barh(at + offset, numbers, 0.36, label=name, color=colour)
         for y, value in zip(at + offset, values, strict=True):
-            panel.annotate("no result" if value is None else f"{value:.3f}", (value or 1.0, y), (3, 0),
+            panel.annotate("no result" if value is None else f"{value:.3f}", (value or 0.9, y), (3, 0),
                            textcoords="offset points", va="center", fontsize=7)  # fmt: skip
     panel.set_yticks(at, [line.row for line in lines], fontsize=8)
     panel.set_xlim(0.9, 1.05 * max([line.printed or 0.0 for line in lines] + [line.ours or 0.0 for line in lines]))

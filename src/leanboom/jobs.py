@@ -128,6 +128,8 @@ def _call(pipe: Any, function: Callable[[Any], Any], argument: Any) -> None:
     try:
         import numba
 
+        # By default numba shares a lock with further processes, which one that is ended would leave behind.
+        multiprocessing.set_start_method("spawn", force=True)
         numba.set_num_threads(1)
         answer = VALUE, function(argument)
     except LeanboomError as error:

@@ -39,8 +39,10 @@ PUMPS = ("ls", "cp")
 # Tubes: nodes, and half widths relative to the coarse grid's spacing; halved each level.
 TUBE = (41, 33)
 TUBE_WIDTH, TUBE_SPREAD = 6.0, 6.0
-TUBE_LEVELS, BASIN_LEVELS = 6, 3  # the best basin is chosen after BASIN_LEVELS
-REPEAT, TUBE_REPEATS = 2e-3, 4  # a tube is repeated while the judged cost falls by more than this share
+TUBE_LEVELS, BASIN_LEVELS = 6, 2  # the best basin is chosen after BASIN_LEVELS
+LOOK_AGAIN = 2  # level of the tubes around the polished motion
+REPEAT, TUBE_REPEATS = 1e-2, 4  # a tube is repeated while the judged cost falls by more than this share
+MOVING, TOUCHING = 1e-3, 1e-4  # a limit that moves [m/s], and a motion on it [m]
 FINER = 5e-4  # stages are halved while that gains more than this share
 SETTLED = 1e-4  # polishing ends when it gains less than this share
 
@@ -231,19 +233,29 @@ class _Run:
             del coarse
             self.tubes(problem, seed, start, width, spread, range(BASIN_LEVELS))
         assert self.best is not None
-        self.tubes(problem, self.best, start, width, spread, range(BASIN_LEVELS, TUBE_LEVELS))
+        self.tubes(problem, self.best, start, width, spread, range(BASIN_LEVELS, LOOK_AGAIN + 2))
         free = start is None
-        if self.polish(problem, free):
-            # The polish moved on from where its seed's modes came from: look around it once more.
-            self.tubes(problem, self.best, start, width, spread, range(2, TUBE_LEVELS))
-            self.polish(problem, free)
-        self.finer_stages(free)
-        assert self.best is not None
+        # Polish, then look around what it found: it has moved on from where its seed's modes came from.
+        self.polish(problem, free, rounds=1)
+        self.tubes(problem, self.best, start, width, spread, range(LOOK_AGAIN, TUBE_LEVELS))
+        self.polish(problem, free)
+        if self.rides_on_a_limit(problem):
+            self.finer_stages(free)
         self.fall_back(problem, float(self.best.motion.position[0]) if start is None else start)
         return self.best
 
+    def rides_on_a_limit(self, problem: Problem) -> bool:
+        """Whether the best motion follows an end of the feasible extensions that itself moves."""
+        assert self.best is not None
+        position = _on_stages(self.best.motion, problem).position
+        for end in (problem.lower, problem.upper):
+            moves = np.abs(np.gradient(end, problem.step)) > MOVING
+            if np.any(moves & (np.abs(position - end) < TOUCHING)):
+                return True
+        return False
+
     def finer_stages(self, free: bool) -> None:
-        """Polish on stages half and a quarter as long while it pays: a start on a limit asks for finer control."""
+        """Polish on stages half and a quarter as long while it pays: along a moving limit control must be finer."""
         for factor in (2, 4):
             assert self.best is not None
             before = judged_cost(self.best, self.cost)

@@ -93,7 +93,7 @@ def page(result: Reproduction) -> str:
         if name in result.records:
             holes = _holes(name, result)
             text += _HOLE.sub(lambda hole, holes=holes: holes[hole[1]], section)
-    return text.rstrip("\n") + "\n"
+    return re.sub(r"\n{3,}", "\n\n", text).rstrip("\n") + "\n"
 
 
 def _holes(name: str, result: Reproduction) -> dict[str, str]:
@@ -166,24 +166,25 @@ def _table(lines: list[Line]) -> str:
     rows = [f"| {' | '.join(heads)} |", "| --- |" + " ---: |" * (len(heads) - 1 - noted) + " --- |" * noted]
     for line in lines:
         cells = [line.row.replace("[", "\\[")]
-        cells += [number(line.printed)] if beside else []
-        cells += [number(line.ours)]
-        cells += [number(line.difference, signed=True)] if beside else []
+        digits = 1 if "[%]" in line.row or "[kJ]" in line.row else 3
+        cells += [number(line.printed, digits)] if beside else []
+        cells += [number(line.ours, digits)]
+        cells += [number(line.difference, digits, signed=True)] if beside else []
         cells += [line.why] if noted else []
         rows.append(f"| {' | '.join(cells)} |")
     return "\n".join(rows)
 
 
-def number(value: float | None, *, signed: bool = False) -> str:
+def number(value: float | None, digits: int = 3, *, signed: bool = False) -> str:
     """A number for people; "-" where there is none.
 
     Args:
         value: The number.
+        digits: Behind the point.
         signed: Whether to show a plus sign.
     """
     if value is None:
         return "-"
-    digits = 1 if abs(value) >= 20 else 2 if abs(value) >= 5 else 3
     text = f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
     return text.lstrip("+-") if float(text) == 0.0 else text
 
@@ -221,7 +222,8 @@ def _ranges(groups: Mapping[str, list[Line]]) -> str:
             continue
         base = found[0][0]
         values = [value for value, _ in found]
-        most = max(found, key=lambda pair: abs(pair[0] - base))[1]
+        moved, most = max((abs(value - base), name) for value, name in found)
+        most = most if moved >= 5e-4 else "-"
         cells = [what, number(varied[0].printed), number(base), number(min(values)), number(max(values)), most]
         rows.append(f"| {' | '.join(cells)} |")
     return "\n".join(rows)
@@ -241,8 +243,11 @@ def verdicts(groups: Mapping[str, list[Line]]) -> list[str]:
         orders = [
             sorted(rows, key=lambda what, i=i: rows[what][i] or 0.0) for i in range(len(next(iter(rows.values()))))
         ]
-        same = sum(order == orders[0] for order in orders[1:])
-        said.append(f"The order of the rows of {table} stays as bundled in {same} of {len(orders) - 1} variations.")
+        names = [line.row.rsplit(": ", 1)[1] for line in groups[next(iter(rows))]]
+        other = [name for name, order in zip(names, orders, strict=True) if order != orders[0]]
+        kept = f"{len(orders) - 1 - len(other)} of {len(orders) - 1} variations"
+        but = f", not with: {'; '.join(other)}" if other else ""
+        said.append(f"The order of the rows of {table} stays as bundled in {kept}{but}.")
         for name in ("Unweighted", "Weighted"):
             values = next(values for what, values in rows.items() if f"({name})" in what)
             more = sorted(100.0 * ((value or 0.0) - 1.0) for value in values)
