@@ -112,13 +112,11 @@ def best_control(row, outside, c, w, k, stage, cylinder, setting, ahead, lines):
     lo, hi = -np.inf, np.inf
     count = 0
     square = 0.0
-    breaks = False  # a state that breaks a velocity limit is only ever left: the ends of the interval do
     for i in range(n):
         v = row[i, A0] + row[i, A1] * w
         limit = cylinder[i, V_MAX]
         if abs(v) > limit:
             base += setting[SLOPE_V] * (abs(v) - limit)
-            breaks = True
         # Admissible controls: |b0 + b1 w + b2 w^2 + b3 u| <= A_MAX.
         b = row[i, B0] + w * (row[i, B1] + w * row[i, B2])
         b3 = row[i, B3]
@@ -185,7 +183,7 @@ def best_control(row, outside, c, w, k, stage, cylinder, setting, ahead, lines):
             cost += running_cost(u, code, count, rate, lowest, lines)
         if cost < best:
             best, best_u = cost, u
-    if hi > lo and not breaks:
+    if hi > lo:
         # Controls that reach velocity node j: one interpolation, in position only.
         c_lo, dc = stage[k + 1, C_LO], stage[k + 1, DC]
         top = ahead.shape[0] - 1.0
