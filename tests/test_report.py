@@ -16,7 +16,9 @@ from leanboom.machine import Provenance
 
 def held(task, length, method="dp"):
     """The judged motion that leaves the telescope where it is."""
-    return evaluate(task, motion.from_velocities(0.1, length, np.zeros(61), method, "ls", log=("first step: 1 < 2",)))
+    still = np.zeros(61)
+    step = task.duration / (still.size - 1)
+    return evaluate(task, motion.from_velocities(step, length, still, method, "ls", log=("first step: 1 < 2",)))
 
 
 def made(task, plan=0.6713, other: float | None = 0.516):

@@ -116,7 +116,7 @@ def running_cost(model: Model, k: int, c: np.ndarray, v: np.ndarray, a: np.ndarr
     """
     c_max, v_max, a_max = model.scale
     crane = model.problem.crane
-    c, v, a = (np.ascontiguousarray(x) for x in np.broadcast_arrays(c, v, a))
+    c, v, a = (x.copy() for x in np.broadcast_arrays(c, v, a))
     stroke = c_max * c
     with np.errstate(all="ignore"):  # poses out of reach give no numbers, and are penalised
         pose = cranes.pose(crane, model.problem.plane[k], stroke)

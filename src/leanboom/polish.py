@@ -233,6 +233,7 @@ def _assemble(ca, stages, here, there, parameters, rows, cost, node_rows, theta)
         ),
         "ipopt": OPTIONS,
         "print_time": False,
+        "show_eval_warnings": False,  # a trial step out of reach is cut back, and no news to the user
         "error_on_fail": False,
     }
     return ca.nlpsol("polish", "ipopt", {"x": x, "p": p, "f": f, "g": g}, options)
@@ -266,10 +267,12 @@ class Modes:
 def modes(polisher: Polisher, seed: Motion) -> Modes:
     """Read the modes off a motion on the problem's stages."""
     problem = polisher.problem
-    rates = _speeds(problem, seed)
+    with np.errstate(all="ignore"):  # a seed out of reach has no numbers there, and no modes
+        rates = _speeds(problem, seed)
     epsilon = problem.crane.machine.driven_velocity if polisher.layout.pressures else 0.0
     sign = np.where(rates > epsilon, 1, np.where(rates < -epsilon, -1, 0))
-    loaded = np.stack([_force(problem, seed, end, sign) * sign[_nodes(end)] > 0.0 for end in range(2)])
+    with np.errstate(all="ignore"):
+        loaded = np.stack([_force(problem, seed, end, sign) * sign[_nodes(end)] > 0.0 for end in range(2)])
     return Modes(sign, loaded)
 
 
