@@ -48,7 +48,7 @@ MIN_GAIN = 1e-9  # a cylinder whose acceleration depends less than this on the c
 SWITCH_SHIFT = 1e-7  # candidates sit this far on the unloaded side of a load switch [m/s^2]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def interpolate(ahead, stage, setting, k, c, w):
     """Bilinear value at (c, w) of stage k; outside the grid, the edge value plus a slope times the distance."""
     dc, dw = stage[k, DC], stage[k, DW]
@@ -78,7 +78,7 @@ def interpolate(ahead, stage, setting, k, c, w):
     return (1.0 - x) * low + x * high + extra
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def running_cost(u, code, count, rate, lowest, lines):
     """The part of a stage's cost that depends on the control: supply pressure (ls) or positive work (actuator)."""
     if code == LS:
@@ -93,7 +93,7 @@ def running_cost(u, code, count, rate, lowest, lines):
     return rate * work
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def best_control(row, outside, c, w, k, stage, cylinder, setting, ahead, lines):  # noqa: PLR0912, PLR0913, PLR0915
     """Least stage cost plus value ahead over the control, and that control.
 
@@ -235,7 +235,7 @@ def best_control(row, outside, c, w, k, stage, cylinder, setting, ahead, lines):
     return base + best, best_u
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def sweep_stage(k, first, last, coefficients, outside, stage, cylinder, setting, ahead, here, values):
     """One stage of the backward pass, for positions `first` to `last` - 1.
 
@@ -262,7 +262,7 @@ def sweep_stage(k, first, last, coefficients, outside, stage, cylinder, setting,
             values[k, p, j] = value
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def sweep(coefficients, outside, stage, cylinder, setting, terminal, values):
     """Backward pass over all stages by one thread; arguments as in `sweep_stage`.
 
@@ -280,7 +280,7 @@ def sweep(coefficients, outside, stage, cylinder, setting, terminal, values):
         ahead, here = here, ahead
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def rollout(coefficients, outside, stage, cylinder, setting, values, start, first, position, velocity, control):
     """Forward pass by one-step look-ahead from an actual state at stage `first`.
 
