@@ -41,7 +41,7 @@ def machine() -> None:
             name = next(line.split(":")[1].strip() for line in file if line.startswith("model name"))
     except (OSError, StopIteration):
         pass
-    print(f"{name}, {os.cpu_count()} cores, {numba.get_num_threads()} threads used by kernels")
+    print(f"{name}, {os.cpu_count()} cores, {stages.threads()} threads used by kernels")
     print(f"Python {platform.python_version()}, numpy {np.__version__}, numba {numba.__version__}, {platform.system()}")
 
 
@@ -204,14 +204,14 @@ def threads() -> None:
     title("Same bits on one and two threads")
     problem = stages.discretise(lb.load_task("forwarder-vertical"), 0.05)
     values = []
-    most = numba.get_num_threads()
-    for count in sorted({1, most}):
-        numba.set_num_threads(count)
+    before, most = os.environ.get("LEANBOOM_THREADS"), max(2, stages.threads())
+    for count in (1, most):
+        os.environ["LEANBOOM_THREADS"] = str(count)
         values.append(dp.solve(problem, stages.full_grid(problem, 201, 101), "ls").values)
-    numba.set_num_threads(most)
-    print(
-        f"1 and {most} threads: {'equal' if all(np.array_equal(values[0], other) for other in values) else 'DIFFERENT'}"
-    )
+    os.environ.pop("LEANBOOM_THREADS")
+    if before is not None:
+        os.environ["LEANBOOM_THREADS"] = before
+    print(f"1 and {most} threads: {'equal' if np.array_equal(*values) else 'DIFFERENT'}")
 
 
 def main() -> None:

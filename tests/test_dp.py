@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
@@ -18,15 +17,6 @@ from leanboom.task import Lines, Task
 
 STEP = 0.1  # [s]
 MIDDLE = replace(load_task("forwarder-vertical"), start="middle")
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _one_thread():
-    """Grids are small here: two threads save nothing, and on a busy machine they wait for each other."""
-    before = numba.get_num_threads()
-    numba.set_num_threads(1)
-    yield
-    numba.set_num_threads(before)
 
 
 def short(start="middle", duration=3.0) -> Task:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,7 +12,7 @@ from hypothesis import strategies as st
 
 import slow_reference as slow
 from leanboom import crane as cranes
-from leanboom import hydraulics, kernels, stages
+from leanboom import dp, hydraulics, kernels, stages
 from leanboom.files import load_task
 from leanboom.objective import COSTS
 from slow_reference import Small
@@ -22,15 +21,6 @@ SEED = st.integers(0, 2**32 - 1)
 SHARE = st.floats(0.0, 1.0)
 COST = pytest.mark.parametrize("cost", slow.COSTS)
 MOVING = 3
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _one_thread():
-    """Problems are tiny here: two threads save nothing, and on a busy machine they wait for each other."""
-    before = numba.get_num_threads()
-    numba.set_num_threads(1)
-    yield
-    numba.set_num_threads(before)
 
 
 def problem(seed: int, cost: str, *, stages=3, positions=5, velocities=7, prescribed=False) -> Small:
@@ -349,19 +339,13 @@ def test_ties_go_to_the_candidate_tried_first():
     assert u * setting[kernels.STEP] == pytest.approx(small.velocity(2, 2), abs=1e-12)
 
 
-@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="needs two threads")  # type: ignore[attr-defined]
 @COST
-def test_results_do_not_depend_on_the_number_of_threads(cost):
+@pytest.mark.parametrize("workers", [2, 3])
+def test_results_do_not_depend_on_the_number_of_threads(cost, workers):
     small = problem(5, cost, stages=12, positions=23, velocities=17)
-    before = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
-        one = swept(small)
-        numba.set_num_threads(2)
-        two = swept(small)
-    finally:
-        numba.set_num_threads(before)
-    np.testing.assert_array_equal(one, two)
+    shared = np.empty_like(swept(small))
+    dp._sweep_shared(small.arrays, small.terminal, shared, workers)
+    np.testing.assert_array_equal(swept(small), shared)
 
 
 @COST

@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 from ruamel.yaml import YAML
@@ -34,15 +33,6 @@ EDGE = replace(
 TASKS = {"vertical": VERTICAL, "slewing": SLEWING, "edge": EDGE}
 # On coarser grids the vertical path from the middle is planned 6 % dearer for LS than by the one-state program.
 GRIDS = {"vertical": (121, 61), "slewing": (41, 31), "edge": (41, 31)}
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _one_thread():
-    """Grids are small here: two threads save nothing, and on a busy machine they wait for each other."""
-    before = numba.get_num_threads()
-    numba.set_num_threads(1)
-    yield
-    numba.set_num_threads(before)
 
 
 @cache
