@@ -30,11 +30,11 @@ from typing import Protocol
 
 import numpy as np
 
-from leanboom import crane as cranes
 from leanboom import plant as plants
 from leanboom.crane import Crane
 from leanboom.integrator import Integrator
 from leanboom.machine import Connection, MobileValve
+from leanboom.plant import Plant
 
 GAIN = 1.5  # K_p of eq. (A2) [1/s]; the valve's delay allows no more
 LEAST_VELOCITY = 0.002  # epsilon_v: a smaller desired velocity does not open the valve [m/s]
@@ -53,6 +53,7 @@ class Sample:
     """What a controller sees at a sample; arrays are (cylinders,), in joint order, and not to be kept."""
 
     time: float  # [s]
+    joint: np.ndarray  # [rad], [m] for the extension
     position: np.ndarray  # of the pistons, beyond retracted [m]
     velocity: np.ndarray  # [m/s]
     pressure_a: np.ndarray  # [Pa]
@@ -67,7 +68,7 @@ class Sample:
 class Rig:
     """What a controller may know when it is made."""
 
-    crane: Crane  # machine and payload
+    plant: Plant  # its `crane` is the machine with its payload
     joints: np.ndarray  # where the crane starts, (cylinders,) [rad, m]
     step: float  # between samples [s]
 
@@ -108,7 +109,7 @@ class DeadZoneInverse:
     """
 
     def __init__(self, rig: Rig):
-        self._tables = [(row[:, 0].tolist(), row[:, 1].tolist()) for row in measured_table(rig.crane)]
+        self._tables = [(row[:, 0].tolist(), row[:, 1].tolist()) for row in measured_table(rig.plant.crane)]
         self._regulating = [False] * len(self._tables)
         self._command = np.zeros(len(self._tables))
 
@@ -168,12 +169,13 @@ def _measure(crane: Crane) -> tuple[np.ndarray, ...]:
     crane = replace(crane, machine=machine)
     zone = machine.circuit.dead_zone
     levels = [side * (zone + (1.0 - zone) * share) for side in (1.0, -1.0) for share in SHARES]
-    load = middle_loads(crane)
+    middle = [0.5 * (joint.lower + joint.upper) for joint in machine.joints]
+    load = static_loads(plants.of(crane), np.array(middle))
     plant = plants.assemble(crane, rig(crane, load, RIG_MASS))
     layout = plant.layout
     held, averaged = round(HELD / RIG_STEP), round(AVERAGED / RIG_STEP)
     edges = np.zeros((held + 12, 4 * layout.n))
-    start = resting(crane, plant, load)
+    start = resting(plant, load)
     start[layout.supply] = machine.pump.constant_pressure
     found: list[list[list[float]]] = [[] for _ in range(layout.n)]
     for level in levels:
@@ -192,39 +194,26 @@ def _measure(crane: Crane) -> tuple[np.ndarray, ...]:
     return tuple(tables)
 
 
-def middle_loads(crane: Crane) -> np.ndarray:
-    """Force of gravity on every cylinder in the middle of the joints' ranges [N], (cylinders,)."""
-    machine = crane.machine
-    return static_loads(crane, np.array([0.5 * (joint.lower + joint.upper) for joint in machine.joints]))
-
-
-def static_loads(crane: Crane, joints: np.ndarray) -> np.ndarray:
-    """Force that holds the crane at rest, of every cylinder [N], (cylinders,).
+def static_loads(plant: Plant, joints: np.ndarray) -> np.ndarray:
+    """Force of gravity on every cylinder [N], (cylinders,).
 
     Args:
-        crane: The crane.
+        plant: The crane's plant.
         joints: Joint positions, (cylinders,) [rad, m].
     """
-    from leanboom import linkages
-
-    machine = crane.machine
-    _, gravity = cranes.inertia_and_gravity(crane, *joints[-3:])
-    torque = np.array([0.0, *gravity] if machine.geometry.slewing else gravity, dtype=np.float64)
-    arms = [linkages.cylinder(c.linkage, q)[1] for c, q in zip(machine.cylinders, joints, strict=True)]
-    return torque / np.array(arms, dtype=np.float64)
+    return np.asarray(plant.statics(joints)[0].full()).ravel()
 
 
-def resting(crane: Crane, plant: plants.Plant, load: np.ndarray) -> np.ndarray:
+def resting(plant: Plant, load: np.ndarray) -> np.ndarray:
     """A state at rest whose chambers carry the loads, the less loaded one at its resting pressure, (size,).
 
     Args:
-        crane: The crane.
-        plant: Its plant.
+        plant: The plant.
         load: Force of every cylinder [N], (cylinders,).
     """
     from leanboom.machine import IndependentMetering
 
-    machine, layout = crane.machine, plant.layout
+    machine, layout = plant.crane.machine, plant.layout
     state = np.zeros(layout.size)
     rest = machine.pump.tank_pressure + machine.circuit.counter_pressure
     if isinstance(machine.valve, IndependentMetering):

@@ -12,7 +12,7 @@ import warnings
 import numpy as np
 
 from leanboom.errors import LeanboomError
-from leanboom.plant import Plant
+from leanboom.plant import Plant, bind
 
 TOLERANCE = 1e-6  # relative, of all states
 LONGEST = 10  # samples of a step, at most
@@ -52,8 +52,8 @@ class Integrator:
         self._shares = self._u[:-1]
         self._rates = np.zeros(layout.size)
         self._moved = np.zeros(2 * layout.n)
-        self._eval_rates = self._bound(plant.rates, self._rates)
-        self._eval_measure = self._bound(plant.measure, self._moved)
+        self._eval_rates = bind(plant.rates, (self._y, self._u), (self._rates,))
+        self._eval_measure = bind(plant.measure, (self._y,), (self._moved,))
         absolute = np.empty(layout.size)
         pressures = slice(layout.a.start, layout.supply + 1)
         for part, value in zip((layout.q, layout.v, pressures, layout.energy), ABSOLUTE, strict=True):
@@ -66,14 +66,6 @@ class Integrator:
         )  # fmt: skip
         self._solver.set_initial_value(self.state, 0.0)
 
-    def _bound(self, function, result: np.ndarray):
-        """A CasADi function that reads this object's buffers and writes to an array."""
-        buffer, evaluate = function.buffer()
-        for i, argument in enumerate((self._y, self._u)[: function.n_in()]):
-            buffer.set_arg(i, memoryview(argument))
-        buffer.set_res(0, memoryview(result))
-        return evaluate, buffer  # the buffer must outlive the function
-
     def _right(self, time: float, y: np.ndarray) -> np.ndarray:
         at = time / self._step
         sample = int(at)
@@ -82,13 +74,13 @@ class Integrator:
         self._shares *= at - sample
         self._shares += here
         self._y[:] = y
-        self._eval_rates[0]()
+        self._eval_rates()
         return self._rates
 
     def measure(self) -> np.ndarray:
         """Piston positions, then piston velocities, of the present state, (2 x cylinders,); overwritten next time."""
         self._y[:] = self.state
-        self._eval_measure[0]()
+        self._eval_measure()
         return self._moved
 
     def advance(self, sample: int) -> np.ndarray:

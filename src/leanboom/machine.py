@@ -183,12 +183,14 @@ class Circuit:
     delay: float = 0.16  # from a command to the spool's first movement [s]
     dead_zone: float = 0.53  # share of the spool's travel that opens nothing
     counter_pressure: float = 0.3e6  # of the return line above the tank [Pa]
-    seal_friction: float = 0.0  # beside planning's friction, as a share of the force at constant pressure
+    seal_friction: float = 0.0  # Coulomb, beside planning's friction, as a share of the force at constant pressure
+    seal_damping: float = 0.0  # viscous at the velocity limit, beside planning's, as a share of the same force
 
 
 METERING = Circuit(
     dead_volume=0.5e-3, line_volume=1e-3, edge_flow=80e-3 / 60, edge_drop=0.5e6, spool_bandwidth=25.0, delay=0.002,
     dead_zone=0.0, counter_pressure=0.0, seal_friction=0.02,
+    seal_damping=0.02,
 )  # fmt: skip
 
 

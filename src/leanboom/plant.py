@@ -87,6 +87,27 @@ class Plant:
     measure: Any  # y -> piston positions [m], piston velocities [m/s]
     observe: Any  # y, u -> the quantities of OBSERVED
     energy: Any  # y -> kinetic, potential [J]
+    statics: Any  # joints -> force of gravity on the cylinders [N], and the mass each feels with the others free [kg]
+
+
+def bind(function: Any, arguments: tuple[np.ndarray, ...], results: tuple[np.ndarray, ...]) -> Callable[[], None]:
+    """A CasADi function tied to arrays, called in microseconds: it reads the arguments and fills the results.
+
+    Args:
+        function: The function.
+        arguments: Contiguous float64 arrays in place of its inputs.
+        results: Likewise for its outputs.
+    """
+    buffer, evaluate = function.buffer()
+    for i, argument in enumerate(arguments):
+        buffer.set_arg(i, memoryview(argument))
+    for i, result in enumerate(results):
+        buffer.set_res(i, memoryview(result))
+
+    def call(_buffer=buffer) -> None:  # the buffer must live as long as the call
+        evaluate()
+
+    return call
 
 
 OBSERVED = ("force", "friction", "end", "pump_flow", "wanted", "sense", "starved")
@@ -114,11 +135,17 @@ def build(task: Task) -> Plant:
     Args:
         task: The task; its path plays no part.
     """
-    return _build(cranes.build(task))
+    return of(cranes.build(task))
 
 
 @lru_cache(maxsize=8)
-def _build(crane: Crane) -> Plant:
+def of(crane: Crane) -> Plant:
+    """The plant of a crane; built once a process.
+
+    Args:
+        crane: The crane.
+    """
+
     def body(q: list, v: list) -> Motion:
         return _crane_motion(crane, q, v)
 
@@ -156,6 +183,7 @@ def assemble(crane: Crane, body: Callable[[list, list], Motion]) -> Plant:
         measure=ca.Function("measure", [y], [ca.densify(ca.vertcat(*moving.position, *moving.velocity))]),
         observe=ca.Function("observe", [y, u], observed, ["y", "u"], list(OBSERVED)),
         energy=ca.Function("energy", [y], [kinetic, potential]),
+        statics=ca.Function("statics", [y[layout.q]], [ca.densify(ca.vertcat(*x)) for x in _statics(crane, q)]),
     )
 
 
@@ -172,10 +200,12 @@ def _crane_motion(crane: Crane, q: list, v: list) -> Motion:
         level = cylinder.friction.coulomb
         if cylinder.friction.steps is not None:
             level = level * dynamics.stepped_coulomb(q[-1], *cylinder.friction.steps)
-        level = level + machine.circuit.seal_friction * machine.pump.constant_pressure * cylinder.piston_area
+        full = machine.pump.constant_pressure * cylinder.piston_area
+        level = level + machine.circuit.seal_friction * full
+        viscous = cylinder.friction.viscous + machine.circuit.seal_damping * full / cylinder.velocity_limit
         position.append(length - retracted(cylinder, joint.lower, joint.upper)[0])
         velocity.append(speed)
-        friction.append(dynamics.friction(speed, level, sharp, cylinder.friction.viscous))
+        friction.append(dynamics.friction(speed, level, sharp, viscous))
         arms.append(arm)
 
     def accelerate(forces: list) -> list:
@@ -190,6 +220,20 @@ def _crane_motion(crane: Crane, q: list, v: list) -> Motion:
         return [(torque[0] - change * rate[0]) / turning, *solution]
 
     return Motion(tuple(position), tuple(velocity), tuple(friction), accelerate)
+
+
+def _statics(crane: Crane, q: list) -> tuple[list, list]:
+    """Force of gravity on every cylinder, and the mass that it feels at once, the others being free to give way."""
+    machine, boom = crane.machine, q[-3:]
+    inertia, gravity = cranes.inertia_and_gravity(crane, *boom)
+    torque = list(gravity)
+    inertias = [1.0 / _solve(inertia, [float(i == j) for i in range(3)])[j] for j in range(3)]
+    if machine.geometry.slewing:
+        torque.insert(0, 0.0)
+        inertias.insert(0, cranes.slewing(crane, tuple(boom), (0.0, 0.0, 0.0))[0])
+    arms = [linkages.cylinder(c.linkage, joint)[1] for c, joint in zip(machine.cylinders, q, strict=True)]
+    forces = [t / arm for t, arm in zip(torque, arms, strict=True)]
+    return forces, [i / (arm * arm) for i, arm in zip(inertias, arms, strict=True)]
 
 
 def _solve(inertia: tuple, right: list) -> list:

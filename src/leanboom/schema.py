@@ -375,7 +375,9 @@ class CircuitKeys(Section):
     counter_pressure: Pressure | None = None
     """Of the return line above the tank."""
     seal_friction: Share | None = None
-    """Friction beside planning's, as a share of the force at constant pressure."""
+    """Coulomb friction beside planning's, as a share of the cylinder's force at constant pressure."""
+    seal_damping: Share | None = None
+    """Viscous friction at the velocity limit beside planning's, as a share of the same force."""
 
 
 class Bodies(Rule):

@@ -146,7 +146,7 @@ def simulate(
     factory = controller or controllers.of(crane_plant.crane)
     step = float(planned.time[1] - planned.time[0])
     start = planned.joint_position[0]
-    rig = Rig(crane_plant.crane, start.copy(), step)
+    rig = Rig(crane_plant, start.copy(), step)
     chosen = factory(rig)
     began = clock.perf_counter()
     run = _Run(crane_plant, planned, pump, step, tolerance)
@@ -167,7 +167,7 @@ class _Run:
         self.edges = np.zeros((self.samples + delay + 2, 4 * len(machine.cylinders)))
         self.commands = np.zeros((self.samples + 1, self.spools.count))
         start = planned.joint_position[0]
-        state = controllers.resting(crane_plant.crane, crane_plant, controllers.static_loads(crane_plant.crane, start))
+        state = controllers.resting(crane_plant, controllers.static_loads(crane_plant, start))
         state[crane_plant.layout.q] = start
         if pump == "cp":
             state[crane_plant.layout.supply] = machine.pump.constant_pressure
@@ -194,7 +194,7 @@ class _Run:
                 tell("simulating", k / self.samples)
             state, moved, at = self.states[k], self.integrator.measure(), min(k, last)
             now = Sample(
-                k * self.step, moved[:n], moved[n:], state[layout.a], state[layout.b], float(state[layout.supply]),
+                k * self.step, state[layout.q], moved[:n], moved[n:], state[layout.a], state[layout.b], float(state[layout.supply]),
                 self.targets[at], planned.velocity[at] if k < last else still,
                 planned.acceleration[at] if k < last else still,
             )  # fmt: skip
