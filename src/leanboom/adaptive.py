@@ -33,8 +33,7 @@ from leanboom.machine import IndependentMetering
 K1, K2, K3 = 6.0, 8.0, 15.0  # [1/s]
 ADAPTATION = 50.0  # gamma [1/s^2]
 SMOOTH = 60.0  # of the desired pressures' rates [rad/s]
-LEAST_VELOCITY = 0.001  # a smaller desired velocity keeps the valves' direction [m/s]
-LEAST_ERROR = 0.002  # at rest a smaller error leaves them closed [m]
+LEAST_ERROR = 0.004  # a cylinder that planning counts as held is driven only for a larger error [m]
 
 
 class AdaptiveRobust:
@@ -82,6 +81,7 @@ class _Function:
         self._most = machine.pump.max_pressure * self._a
         self._wanted: tuple[float, float] | None = None  # pressures wanted last, smoothed
         self._direction = 0.0
+        self._least = machine.driven_velocity
 
     def command(self, x, v, p_a, p_b, x_d, v_d, a_d, gravity, mass) -> tuple[float, float]:
         """Commands of ports A and B."""
@@ -110,8 +110,8 @@ class _Function:
         return self._inverse(min(flow_a, 0.0)), self._inverse(max(flow_b, 0.0))
 
     def _turn(self, v_d: float, error: float) -> None:
-        """Direction of the valves: of the desired velocity; at rest that which takes a large error away, or none."""
-        if abs(v_d) > LEAST_VELOCITY:
+        """Direction of the valves: of the desired velocity; when held that which takes a large error away, or none."""
+        if abs(v_d) > self._least:
             self._direction = math.copysign(1.0, v_d)
         elif abs(error) > LEAST_ERROR:
             self._direction = -math.copysign(1.0, error)
