@@ -177,7 +177,7 @@ def test_a_pump_gives_no_more_than_all_its_flow():
 
 
 def test_a_locked_cylinder_swings_as_the_analytic_second_order_system():
-    """m x'' = -B (A^2/V_A + B^2/V_B) x about its equilibrium, let go 40 % above its load."""
+    """Motion m x'' = -B (A^2/V_A + B^2/V_B) x about its equilibrium, let go 40 % above its load."""
     mass, load, i = 2000.0, 30e3, 2
     crane_ = without_friction(FORWARDER)
     stand = plant.assemble(crane_, controllers.rig(crane_, np.array([0.0, 0.0, load, 0.0]), mass))

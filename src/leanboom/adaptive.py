@@ -31,7 +31,7 @@ from leanboom.controllers import Rig, Sample
 from leanboom.machine import IndependentMetering
 
 K1, K2, K3 = 6.0, 8.0, 15.0  # [1/s]
-ADAPTATION = 50.0  # gamma [1/s^2]
+ADAPTATION = 500.0  # gamma [1/s^2]
 SMOOTH = 60.0  # of the desired pressures' rates [rad/s]
 LEAST_ERROR = 0.004  # a cylinder that planning counts as held is driven only for a larger error [m]
 
@@ -58,7 +58,8 @@ class AdaptiveRobust:
             now.position, now.velocity, now.pressure_a, now.pressure_b, now.target_position, now.target_velocity,
             now.target_acceleration, self._gravity, self._mass,
         )  # fmt: skip
-        for i, (function, values) in enumerate(zip(self._functions, zip(*(c.tolist() for c in columns)), strict=True)):
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        for i, (function, values) in enumerate(zip(self._functions, rows, strict=True)):
             self._command[2 * i], self._command[2 * i + 1] = function.command(*values)
         return self._command
 

@@ -33,7 +33,7 @@ import numpy as np
 from leanboom import plant as plants
 from leanboom.crane import Crane
 from leanboom.integrator import Integrator
-from leanboom.machine import Connection, MobileValve
+from leanboom.machine import Connection, IndependentMetering
 from leanboom.plant import Plant
 
 GAIN = 1.5  # K_p of eq. (A2) [1/s]; the valve's delay allows no more
@@ -42,9 +42,9 @@ LEAST_ERROR = 0.005  # epsilon_p: a larger position error does [m]
 RELEASE = 0.4  # share of epsilon_p below which regulation ends
 
 # Measuring the table: openings behind the dead zone that are tried either way, and how long each is held [s].
-SHARES = (0.005, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0)
-HELD, AVERAGED = 0.8, 0.4
-RIG_MASS = 100.0  # on every cylinder of the test rig; a steady velocity does not depend on it [kg]
+SHARES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0)
+HELD, AVERAGED = 1.6, 0.5
+RIG_MASS = 1000.0  # on every cylinder of the test rig; a steady velocity does not depend on it [kg]
 RIG_STEP = 0.01  # [s]
 
 
@@ -86,19 +86,6 @@ class Controller(Protocol):
 
 
 Factory = Callable[[Rig], Controller]
-
-
-def of(crane: Crane) -> Factory:
-    """The paper's controller for a crane's kind of valve.
-
-    Args:
-        crane: The crane.
-    """
-    if isinstance(crane.machine.valve, MobileValve):
-        return DeadZoneInverse
-    from leanboom.adaptive import AdaptiveRobust
-
-    return AdaptiveRobust
 
 
 class DeadZoneInverse:
@@ -211,8 +198,6 @@ def resting(plant: Plant, load: np.ndarray) -> np.ndarray:
         plant: The plant.
         load: Force of every cylinder [N], (cylinders,).
     """
-    from leanboom.machine import IndependentMetering
-
     machine, layout = plant.crane.machine, plant.layout
     state = np.zeros(layout.size)
     rest = machine.pump.tank_pressure + machine.circuit.counter_pressure

@@ -87,7 +87,9 @@ def find(
             found.append(_event("limit", name, time, begin, end, text))
     flow = arrays["pump_flow"]
     for begin, end in _spans(flow > FULL * pump.max_flow, time):
-        found.append(_event("pump", "pump", time, begin, end, f"the pump gives all its {pump.max_flow * 6e4:.0f} l/min"))
+        found.append(
+            _event("pump", "pump", time, begin, end, f"the pump gives all its {pump.max_flow * 6e4:.0f} l/min")
+        )
     wanted = observed["sense"].max(axis=1) + pump.ls_margin
     for begin, end in _spans((wanted > pump.max_pressure) & (observed["wanted"][:, 0] == pump.max_pressure), time):
         high = wanted[begin : end + 1].max() / 1e6

@@ -100,9 +100,9 @@ def bind(function: Any, arguments: tuple[np.ndarray, ...], results: tuple[np.nda
     """
     buffer, evaluate = function.buffer()
     for i, argument in enumerate(arguments):
-        buffer.set_arg(i, memoryview(argument))
+        buffer.set_arg(i, argument.data)
     for i, result in enumerate(results):
-        buffer.set_res(i, memoryview(result))
+        buffer.set_res(i, result.data)
 
     def call(_buffer=buffer) -> None:  # the buffer must live as long as the call
         evaluate()

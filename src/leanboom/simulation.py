@@ -15,11 +15,13 @@ from typing import Any
 import numpy as np
 
 from leanboom import controllers, events, hydraulics, kinematics, plant, tracking
-from leanboom.controllers import Factory, Rig, Sample
+from leanboom.adaptive import AdaptiveRobust
+from leanboom.controllers import DeadZoneInverse, Factory, Rig, Sample
 from leanboom.errors import InputError
 from leanboom.events import Event
 from leanboom.integrator import TOLERANCE, Integrator, SolverError
 from leanboom.judge import Evaluation, evaluate
+from leanboom.machine import MobileValve
 from leanboom.motion import Motion
 from leanboom.plant import Plant
 from leanboom.task import Task, sample
@@ -143,7 +145,7 @@ def simulate(
     tell = progress or (lambda text, share: None)
     tell("building the plant", 0.0)
     crane_plant = plant.build(task)
-    factory = controller or controllers.of(crane_plant.crane)
+    factory = controller or _papers_controller(task)
     step = float(planned.time[1] - planned.time[0])
     start = planned.joint_position[0]
     rig = Rig(crane_plant, start.copy(), step)
@@ -153,6 +155,11 @@ def simulate(
     status = run.drive(chosen, tell)
     elapsed = clock.perf_counter() - began
     return _result(run, motion, pump, factory, status, elapsed)
+
+
+def _papers_controller(task: Task) -> Factory:
+    """The controller that the papers use with the machine's kind of valve."""
+    return DeadZoneInverse if isinstance(task.machine.valve, MobileValve) else AdaptiveRobust
 
 
 class _Run:
@@ -194,10 +201,17 @@ class _Run:
                 tell("simulating", k / self.samples)
             state, moved, at = self.states[k], self.integrator.measure(), min(k, last)
             now = Sample(
-                k * self.step, state[layout.q], moved[:n], moved[n:], state[layout.a], state[layout.b], float(state[layout.supply]),
-                self.targets[at], planned.velocity[at] if k < last else still,
-                planned.acceleration[at] if k < last else still,
-            )  # fmt: skip
+                time=k * self.step,
+                joint=state[layout.q],
+                position=moved[:n],
+                velocity=moved[n:],
+                pressure_a=state[layout.a],
+                pressure_b=state[layout.b],
+                supply=float(state[layout.supply]),
+                target_position=self.targets[at],
+                target_velocity=planned.velocity[at] if k < last else still,
+                target_acceleration=planned.acceleration[at] if k < last else still,
+            )
             np.clip(self._answer(controller, now), -1.0, 1.0, out=self.commands[k])
             self.edges[k + delay + 1] = self.spools.move(self.commands[k])
             try:
@@ -224,9 +238,7 @@ class _Run:
         inputs = np.empty((states.shape[0], self.edges.shape[1] + 1))
         inputs[:, :-1], inputs[:, -1] = self.edges[: states.shape[0]], float(self.load_sensing)
         values = self.plant.observe(states.T, inputs.T)
-        observed = {
-            name: np.asarray(value.full()).T.copy() for name, value in zip(plant.OBSERVED, values, strict=True)
-        }
+        observed = {name: np.asarray(value.full()).T.copy() for name, value in zip(plant.OBSERVED, values, strict=True)}
         moved = np.asarray(self.plant.measure(states.T).full()).T
         n = self.plant.layout.n
         return states, {**observed, "position": moved[:, :n].copy(), "velocity": moved[:, n:].copy()}
@@ -242,7 +254,7 @@ def _result(
     time = run.step * np.arange(count)
     q = states[:, layout.q].copy()
     g = machine.geometry
-    r, z = kinematics.tool_point(*q[:, -3:].T, g.base_x, g.base_z, g.boom, g.offset, g.outer)
+    r, z = kinematics.tool_point(q[:, -3], q[:, -2], q[:, -1], g.base_x, g.base_z, g.boom, g.offset, g.outer)
     turned = q[:, 0] if g.slewing else np.zeros(count)
     target = planned.joint_position[np.minimum(np.arange(count), planned.time.size - 1)]
     supply, flow = states[:, layout.supply].copy(), observed["pump_flow"][:, 0]

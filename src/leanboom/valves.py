@@ -110,8 +110,8 @@ def flows(section: Section, edges: tuple[Value, Value, Value, Value], a: Value, 
         loss = loss + (b - a) * from_b
         to_a = to_a + from_b
     else:
-        from_b = compensated(b - s.back, s.drop, s.out_b * bt) if s.compensated_return else orifice(
-            b - s.back, s.out_b * bt
+        from_b = (
+            compensated(b - s.back, s.drop, s.out_b * bt) if s.compensated_return else orifice(b - s.back, s.out_b * bt)
         )
         loss = loss + b * from_b
     return Flows(to_a, into_b + make_up_b - from_b, into_a + into_b, loss, sense)
