@@ -24,8 +24,10 @@ if TYPE_CHECKING:
     from leanboom.machine import Machine
     from leanboom.planner import Plan
     from leanboom.reproduction import Reproduction
+    from leanboom.simulation import Simulation
     from leanboom.task import Task
 
+EVENTS_SHOWN = 12
 PIPE_WIDTH = 160  # of tables that do not go to a terminal
 PUMPS = {"ls": "load-sensing pump", "cp": "constant-pressure pump"}
 
@@ -130,6 +132,44 @@ def _length(value: float) -> str:
 
 def _start(task: Task) -> str:
     return task.start if isinstance(task.start, str) else _length(task.start)
+
+
+def simulation(console: Console, run: Simulation, out: Path | None) -> None:
+    """A simulated run beside its plan.
+
+    Args:
+        console: Where to print.
+        run: The run.
+        out: Its folder, if it has one.
+    """
+    name = shortened(run.task.name, 80)
+    _say(console, f"{name}: {shortened(run.task.machine.name, 80)}, {PUMPS[run.pump]}, closed loop", "bold")
+    console.print()
+    change = f"{100.0 * (run.energy / run.planned_energy - 1.0):+.1f} %" if run.planned_energy > 0.0 else "-"
+    errors = ", ".join(
+        f"{joint} {error:.4f} {'m' if joint == 'extension' else 'rad'}"
+        for joint, error in zip(run.task.machine.names, run.joint_error, strict=True)
+    )
+    facts = (
+        ("Energy", f"{run.energy / 1e3:.2f} kJ simulated, {run.planned_energy / 1e3:.2f} kJ planned ({change})"),
+        ("Method", f"{run.motion.method}, minimising {run.motion.cost}"),
+        ("Path accuracy", f"{run.path_accuracy:.3f} m (ISO 9283)"),
+        ("Largest joint errors", errors),
+        ("Energy balance", f"{100.0 * run.balance_error:.4f} % not found again"),
+        ("Simulated in", f"{run.wall_s:.2f} s, {run.realtime_factor:.0f} times faster than real time"),
+    )
+    for label, text in facts:
+        _say(console, f"{label:<22}{text}")
+    for event in run.events[:EVENTS_SHOWN]:
+        _say(
+            console,
+            f"{'Event':<22}{event.time:.2f} s, for {event.duration:.2f} s: {shortened(event.text, 300)}",
+            "yellow",
+        )
+    if len(run.events) > EVENTS_SHOWN:
+        _say(console, f"{'':<22}and {len(run.events) - EVENTS_SHOWN} more events", "yellow")
+    if out is not None:
+        _say(console, f"{'Report':<22}{shortened(str(out / 'simulation.html'), 400)}")
 
 
 def comparison(console: Console, result: Comparison, out: Path | None) -> None:
