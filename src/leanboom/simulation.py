@@ -94,9 +94,7 @@ class Simulation:
     @property
     def path_accuracy(self) -> float:
         """Largest distance of the tool's path from the commanded one, by ISO 9283 [m]."""
-        step = self.time[1] - self.time[0] if self.time.size > 1 else 1.0
-        velocity = np.gradient(self.tool_target, axis=0) / step if self.time.size > 1 else 0.0 * self.tool_target
-        return tracking.path_accuracy(self.time, self.tool_target, velocity, self.tool)
+        return tracking.path_accuracy(self.time, self.tool_target, self.tool)
 
     @property
     def realtime_factor(self) -> float:

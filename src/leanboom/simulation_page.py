@@ -210,6 +210,7 @@ def _data(run: Simulation) -> dict[str, Any]:
     there = np.minimum(at, last)
     after = at > last
     supply = plan.supply_ls if run.pump == "ls" else plan.supply_cp
+    power = plan.power_ls if run.pump == "ls" else plan.power_cp
     energy = plan.cumulative_ls if run.pump == "ls" else plan.cumulative_cp
 
     def planned(values: np.ndarray, scale: float, rest: bool = False) -> np.ndarray:
@@ -218,7 +219,7 @@ def _data(run: Simulation) -> dict[str, Any]:
     pump = [
         _chart("Flow", "flow", "l/min", PLAN_COLOUR, 6e4 * run.pump_flow[at], planned(plan.pump_flow, 6e4, True)),
         _chart("Supply pressure", "pressure", "MPa", PLAN_COLOUR, 1e-6 * run.supply[at], planned(supply, 1e-6)),
-        _chart("Power", "power", "kW", PLAN_COLOUR, 1e-3 * run.power[at], planned(supply * plan.pump_flow, 1e-3, True)),
+        _chart("Power", "power", "kW", PLAN_COLOUR, 1e-3 * run.power[at], planned(power, 1e-3, True)),
         _chart("Energy so far", "energy", "kJ", PLAN_COLOUR, 1e-3 * run.cumulative[at], planned(energy, 1e-3)),
     ]
     joints: dict[str, list] = {"Positions": [], "Errors": [], "Piston velocities": []}

@@ -14,19 +14,22 @@ SLOWEST = 1e-3  # [m/s], slower points of the commanded path have no direction t
 EVERY = 0.02  # [s], between the points that are looked at
 
 
-def path_accuracy(time: np.ndarray, commanded: np.ndarray, velocity: np.ndarray, attained: np.ndarray) -> float:
+def path_accuracy(time: np.ndarray, commanded: np.ndarray, attained: np.ndarray) -> float:
     """Largest distance of the attained path from the commanded one, AT_p of ISO 9283 [m].
 
     Args:
         time: Equally spaced times of all samples [s], (samples,).
         commanded: Commanded tool positions [m], (samples, 3); held after the path's end.
-        velocity: Commanded tool velocities [m/s], (samples, 3).
         attained: Attained tool positions [m], (samples, 3).
 
     Returns:
-        The distance; where the attained path crosses no plane, that to its nearest point within the window.
+        The distance, 0 for a tool that was to stay; where the attained path crosses no plane, that to its nearest
+        point within the window.
     """
+    if time.size < 2:
+        return 0.0
     step = float(time[1] - time[0])
+    velocity = np.gradient(commanded, step, axis=0)
     reach, every = round(WINDOW / step), max(1, round(EVERY / step))
     speed = np.linalg.norm(velocity, axis=1)
     worst = 0.0
