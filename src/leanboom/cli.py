@@ -212,6 +212,9 @@ def compare(
             "takes minutes.",
         ),
     ] = None,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="Also drive every motion in closed loop, for a column of its own.")
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Write the rows, a bar chart and the motions laid over each other."),
@@ -229,7 +232,7 @@ def compare(
     asked = files.load_task(task)
     starts = None if start is None else [files.load_task(task, start=each).start for each in _listed(start)]
     with _Progress(steps=True) as tell:
-        result = comparison.compare(asked, pumps, start=starts, methods=chosen, progress=tell)
+        result = comparison.compare(asked, pumps, start=starts, methods=chosen, simulate=simulate, progress=tell)
         if out is not None:
             tell("drawing", 1.0)
             results.write_comparison(result, out)

@@ -188,11 +188,14 @@ def comparison(console: Console, result: Comparison, out: Path | None) -> None:
             _say(console, f"{name}: {PUMPS[pump]}, {where} start, {task.duration:g} s", "bold")
             console.print()
             best = result.best(pump, start)
-            table = _table("Method (minimised cost)", "energy\nkJ", "relative", "solved\ns", "", numbers=4)
+            more = ("simulated\nkJ",) if any(row.simulated is not None for row in result.rows) else ()
+            table = _table(
+                "Method (minimised cost)", "energy\nkJ", "relative", *more, "solved\ns", "", numbers=4 + len(more)
+            )
             table.columns[-1].justify = "left"
             table.columns[-1].no_wrap = False
             for row in result.block(pump, start):
-                _row(table, *_compared(row, best))
+                _row(table, *_compared(row, best, bool(more)))
             console.print(table)
             if best is None:
                 _say(console, "No method found a motion that keeps every limit.", "red")
@@ -202,14 +205,16 @@ def comparison(console: Console, result: Comparison, out: Path | None) -> None:
     _say(console, f"{inspection.assumed(task.machine)}.")
 
 
-def _compared(row: Row, best: Row | None) -> list[str]:
+def _compared(row: Row, best: Row | None, simulated: bool) -> list[str]:
     """The cells of a comparison's row."""
     energy, least = row.energy, None if best is None else best.energy
     seconds = row.summary["solve_s"]
+    driven = "-" if row.simulated is None else f"{row.simulated / 1e3:.2f}"
     return [
         row.label,
         "-" if energy is None else f"{energy / 1e3:.2f}",
         "-" if energy is None or not least else f"{energy / least:.3f}",
+        *([driven] if simulated else []),
         "-" if seconds is None else f"{seconds:.1f}",
         "best" if row is best else "" if row.feasible else row.status,
     ]
