@@ -1,7 +1,8 @@
 """Everything the README's table states, measured side by side in one run: `make bench`.
 
 Sections: machine, start-up, speed of the sweep against Algorithm 1, planning time and memory, energies of every
-method on every bundled task, start and pump, speed of the closed-loop simulation, order of convergence, independence of the number of threads.
+method on every bundled task, start and pump, speed of the closed-loop simulation, order of convergence, independence
+of the number of threads.
 `--quick` leaves out the energy matrix; `--algorithm-1` adds whole runs of dp-paper (minutes).
 """
 

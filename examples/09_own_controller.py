@@ -19,6 +19,7 @@ class Foresight(DeadZoneInverse):
         self.lead = rig.plant.crane.machine.circuit.delay
 
     def command(self, now):
+        """Commands for the velocity that will be wanted when the valves answer."""
         ahead = now.target_velocity + self.lead * now.target_acceleration
         return super().command(replace(now, target_velocity=ahead))
 
@@ -30,6 +31,7 @@ class Patient:
         self.dead_zone = rig.plant.crane.machine.circuit.dead_zone
 
     def command(self, now):
+        """Commands in proportion to the errors, none for small ones."""
         share = 2.0 * (now.target_position - now.position)
         return np.where(np.abs(share) > 0.01, share + np.sign(share) * self.dead_zone, 0.0)
 

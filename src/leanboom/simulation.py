@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -151,8 +151,8 @@ def simulate(
     began = clock.perf_counter()
     run = _Run(crane_plant, planned, pump, step, tolerance)
     status = run.drive(chosen, tell)
-    elapsed = clock.perf_counter() - began
-    return _result(run, motion, pump, factory, status, elapsed)
+    result = _result(run, motion, pump, factory, status)
+    return replace(result, wall_s=clock.perf_counter() - began)
 
 
 def _papers_controller(task: Task) -> Factory:
@@ -243,7 +243,7 @@ class _Run:
 
 
 def _result(
-    run: _Run, motion: Motion, pump: str, factory: Any, status: str, elapsed: float
+    run: _Run, motion: Motion, pump: str, factory: Any, status: str
 ) -> Simulation:  # one place where everything recorded is named
     planned, layout = run.planned, run.plant.layout
     task, machine = planned.task, planned.task.machine
@@ -285,5 +285,5 @@ def _result(
         found = (*found, Event("solver", "plant", float(time[-1]), 0.0, status))
     return Simulation(
         task=task, motion=motion, pump=pump, controller=getattr(factory, "__name__", type(factory).__name__),
-        planned=planned, status=status, events=found, balance=balance, wall_s=elapsed, **arrays,
+        planned=planned, status=status, events=found, balance=balance, wall_s=0.0, **arrays,
     )  # fmt: skip

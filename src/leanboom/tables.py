@@ -160,6 +160,8 @@ def simulation(console: Console, run: Simulation, out: Path | None) -> None:
     )
     for label, text in facts:
         _say(console, f"{label:<22}{text}")
+    if not run.planned.feasible:
+        _say(console, f"{'Note':<22}the plan breaks a limit: {shortened(run.planned.status, 300)}", "yellow")
     for event in run.events[:EVENTS_SHOWN]:
         _say(
             console,
