@@ -41,8 +41,8 @@ CYLINDER_COLUMNS = 12
 # Entries of the setting vector.
 STEP, COST, EPSILON, SUPPLY_CP, MARGIN, EFFICIENCY, SLOPE_C, SLOPE_W, SLOPE_V, SLOPE_A = range(10)
 SETTINGS = 10
-# Rows of `Row.state`: least cost to go [J], its control [m/s^2], cost whatever the control [J], cost per pressure [J/Pa]
-# or power [s], least and largest admissible control [m/s^2]; the rest is scratch: control being tried, its cost,
+# Rows of `Row.state`: least cost to go [J], its control [m/s^2], cost whatever the control [J], cost per pressure
+# [J/Pa] or power [s], least and largest admissible control [m/s^2]; the rest is scratch: control being tried, its cost,
 # flow or pressure or power, share within a cell, cost of being outside the positions.
 VALUE, CONTROL, BASE, RATE, LOW, HIGH, TRIED, PRICE, SUPPLY, SHARE, BEYOND = range(11)
 STATE_ROWS = 11
@@ -311,7 +311,7 @@ def try_nodes(c, w, step, ahead, code, lowest, row):
                 tried[j] = u
             add_running_cost(first, last, code, lowest, row)
         for j in range(first, last):
-            better = price[j] < value[j] and low[j] <= u and u <= high[j]
+            better = price[j] < value[j] and low[j] <= u <= high[j]
             value[j] = price[j] if better else value[j]
             control[j] = u if better else control[j]
 
