@@ -21,7 +21,7 @@ from numba import njit
 
 from leanboom.dynamics import friction
 from leanboom.formula import enable_in_kernels
-from leanboom.hydraulics import cylinder_flow, positive_work, pump_power, recuperating_flow
+from leanboom.hydraulics import cylinder_flow, positive_work, pump_losses, pump_power, recuperating_flow
 from leanboom.objective import COSTS
 
 enable_in_kernels()
@@ -36,8 +36,8 @@ STAGE_COLUMNS = 7
 AREA_OUT, AREA_IN, GAIN_OUT, BACK_OUT, GAIN_IN, BACK_IN, SHARPNESS, VISCOUS, V_MAX, A_MAX, PISTON, ROD_SIDE = range(12)
 CYLINDER_COLUMNS = 12
 # Entries of the setting vector.
-STEP, COST, EPSILON, SUPPLY_CP, MARGIN, EFFICIENCY, SLOPE_C, SLOPE_W, SLOPE_V, SLOPE_A = range(10)
-SETTINGS = 10
+STEP, COST, EPSILON, SUPPLY_CP, MARGIN, EFFICIENCY, SLOPE_C, SLOPE_W, SLOPE_V, SLOPE_A, IDLE, LEAK, DRAG = range(13)
+SETTINGS = 13
 # Rows of the scratch array `lines`, (SCRATCH, moving cylinders).
 S_LOAD, S_GAIN, S_P0, S_P1 = range(4)
 SCRATCH = 4
@@ -152,10 +152,14 @@ def best_control(row, outside, c, w, k, stage, cylinder, setting, ahead, lines):
             count += 1
     rate = step
     if code == LS:
-        rate = step * pump_power(1.0, flow, setting[EFFICIENCY])
+        # Affine in the pressure: losses at no pressure, and the rate at which it costs.
+        base += step * pump_losses(0.0, flow, setting[IDLE], setting[LEAK], setting[DRAG])
+        rate = step * pump_power(1.0, flow, setting[EFFICIENCY], 0.0, setting[LEAK], 0.0)
         base += rate * setting[MARGIN]
     elif code == CP or code == RECUPERATION:
-        base += step * pump_power(setting[SUPPLY_CP], flow, setting[EFFICIENCY])
+        base += step * pump_power(
+            setting[SUPPLY_CP], flow, setting[EFFICIENCY], setting[IDLE], setting[LEAK], setting[DRAG]
+        )
     elif code == VELOCITY:
         base += step * square
     elif code == EXTENSION:
