@@ -183,12 +183,12 @@ def _check_map(source: Source, given: EfficiencyMap, max_flow: float) -> None:
     met = fit(given)
     if met.typical > ALLOWED:
         i, j = met.worst
-        place = f"{source.value((*key, 'displacements', i))} and {source.value((*key, 'pressures', j))}"
+        at = [source.value((*key, *where)) for where in (("speed",), ("displacements", i), ("pressures", j))]
         source.add(
             (*key, "total"),
             f" is no map of a pump: losses that rise with pressure and flow meet its powers within "
             f"{100.0 * met.typical:.1f} %; must be within {100.0 * ALLOWED:g} %; "
-            f"farthest off is {at_speed(given)[i, j]:.4g} at {place}, by {100.0 * met.largest:.0f} %",
+            f"farthest off, by {100.0 * met.largest:.0f} %, is {at_speed(given)[i, j]:.4g} at {', '.join(map(str, at))}",
         )
 
 
