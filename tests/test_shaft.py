@@ -111,6 +111,19 @@ def test_power_is_within_the_reported_error_of_the_interpolated_table():
     assert np.abs(between).max() < found.largest + 1e-3
 
 
+@pytest.mark.parametrize(("share", "typical"), [(0.006, 0.0035), (0.016, 0.0085), (0.032, 0.016)])
+def test_leakage_is_met_as_well_as_the_documentation_says(share, typical):
+    """A pump whose leakage in proportion to p, so much of its flow at 30 MPa, costs in proportion to p^2."""
+    displacements = tuple(45e-6 * part for part in (0.1, 0.2, 0.4, 0.6, 0.8, 1.0))
+    pressures = (3e6, 5e6, 10e6, 15e6, 20e6, 25e6, 30e6)
+    flow, p = np.meshgrid(30.0 * np.array(displacements), pressures, indexing="ij")
+    power = 1.01 * p * (flow + share * flow[-1, 0] * p / 30e6) + 1.35e-5 * p + 740.0
+    given = EfficiencyMap(30.0, (30.0,), displacements, pressures, (tuple(map(tuple, (p * flow / power).tolist())),))
+    assert 0.8 * typical < fit(given).typical < typical
+    assert fit(given).largest < 0.05
+    assert fit(given).worst[0] == 0
+
+
 def test_the_table_at_the_drive_speed_lies_between_its_neighbours():
     tables = tuple(table(PUMP, speed) for speed in (20.0, 25.0, 35.0))
     given = EfficiencyMap(27.5, (20.0, 25.0, 35.0), DISPLACEMENTS, PRESSURES, tables)
@@ -159,7 +172,7 @@ def test_numpy_kernel_and_casadi_agree():
 
 @given(q=st.floats(-1e-3, 1e-3), p=PRESSURE, efficiency=st.floats(0.1, 1.0))
 def test_a_constant_efficiency_gives_the_very_numbers_of_a_division(q, p, efficiency):
-    pump = replace(load_machine("loader").pump, efficiency=efficiency)
+    pump = replace(SHORT.machine.pump, efficiency=efficiency)
     assert shaft_of(pump) == (efficiency, 0.0, 0.0, 0.0)
     assert hydraulics.pump_power(p, q, *shaft_of(pump)) == p * q / efficiency
     assert in_kernel(p, q, *shaft_of(pump)) == (p * q / efficiency, p * (q / efficiency))
@@ -204,7 +217,7 @@ def test_kernels_are_told_the_losses_and_penalties_know_their_size(cost):
 
 @pytest.mark.parametrize("pump", ["ls", "cp"])
 def test_a_plan_with_a_map_is_never_worse_than_the_actuator_pseudo_inverse(pump):
-    plan = run(SHORT, pump=pump, grid=(41, 21), step=0.1)
+    plan = run(SHORT, pump=pump, grid=(31, 15), step=0.3)
     usual = run(SHORT, pump=pump, method="sns-actuator", baseline=False).evaluation
     assert plan.evaluation.feasible
     assert plan.evaluation.energy(pump) <= usual.energy(pump) * (1.0 + 1e-9)
@@ -273,6 +286,14 @@ def test_a_map_is_written_as_it_was_read(tmp_path):
     again.write_text(text)
     assert load_machine(again).pump == changed.pump
     assert "    speed: 26 rev/s\n" in text
+
+
+def test_the_map_of_the_documentation_is_this_one(tmp_path):
+    page = (Path(__file__).parents[1] / "docs/files.md").read_text()
+    block = next(text for text in page.split("```yaml\n") if text.startswith("efficiency:\n")).split("```")[0]
+    path = tmp_path / "crane.yaml"
+    path.write_text(LOADER.replace(CONSTANT, block.replace("\n", "\n  ").rstrip() + "\n"))
+    assert load_machine(path).pump == loaded(tmp_path).pump
 
 
 def test_a_map_that_no_file_could_hold_is_not_dumped(tmp_path):

@@ -183,12 +183,13 @@ def _check_map(source: Source, given: EfficiencyMap, max_flow: float) -> None:
     met = fit(given)
     if met.typical > ALLOWED:
         i, j = met.worst
-        at = [source.value((*key, *where)) for where in (("speed",), ("displacements", i), ("pressures", j))]
+        point = [source.value((*key, *where)) for where in (("speed",), ("displacements", i), ("pressures", j))]
+        place = ", ".join(map(str, point))
         source.add(
             (*key, "total"),
             f" is no map of a pump: losses that rise with pressure and flow meet its powers within "
             f"{100.0 * met.typical:.1f} %; must be within {100.0 * ALLOWED:g} %; "
-            f"farthest off, by {100.0 * met.largest:.0f} %, is {at_speed(given)[i, j]:.4g} at {', '.join(map(str, at))}",
+            f"farthest off, by {100.0 * met.largest:.0f} %, is {at_speed(given)[i, j]:.4g} at {place}",
         )
 
 
