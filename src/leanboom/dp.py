@@ -11,7 +11,7 @@ so that the planned samples and the continuous motion agree. Bellman's equation 
 
 is solved on grids that fit each stage: positions span exactly its feasible extensions, so limits lie on nodes.
 J_{k+1} is interpolated bilinearly. Controls are not gridded: along u the right-hand side is (nearly) piecewise
-linear and only its corners are tried (see `kernels.best_control`).
+linear and only its corners are tried (see `kernels.best_controls`).
 
 Limits are exact slopes, not constants: violating a velocity or acceleration limit costs in proportion to its
 size, `SLOPES` times the task's energy scale, steep enough that a feasible motion is preferred and flat enough that
