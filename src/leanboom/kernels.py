@@ -24,7 +24,7 @@ from numba import njit
 
 from leanboom.dynamics import friction
 from leanboom.formula import enable_in_kernels
-from leanboom.hydraulics import cylinder_flow, pump_power, recuperating_flow
+from leanboom.hydraulics import cylinder_flow, pump_losses, pump_power, recuperating_flow
 from leanboom.objective import COSTS
 
 enable_in_kernels()
@@ -39,8 +39,8 @@ STAGE_COLUMNS = 7
 AREA_OUT, AREA_IN, GAIN_OUT, BACK_OUT, GAIN_IN, BACK_IN, SHARPNESS, VISCOUS, V_MAX, A_MAX, PISTON, ROD_SIDE = range(12)
 CYLINDER_COLUMNS = 12
 # Entries of the setting vector.
-STEP, COST, EPSILON, SUPPLY_CP, MARGIN, EFFICIENCY, SLOPE_C, SLOPE_W, SLOPE_V, SLOPE_A = range(10)
-SETTINGS = 10
+STEP, COST, EPSILON, SUPPLY_CP, MARGIN, EFFICIENCY, SLOPE_C, SLOPE_W, SLOPE_V, SLOPE_A, IDLE, LEAK, DRAG = range(13)
+SETTINGS = 13
 # Rows of `Row.state`: least cost to go [J], its control [m/s^2], cost whatever the control [J], cost per pressure
 # [J/Pa] or power [s], least and largest admissible control [m/s^2]; the rest is scratch: control being tried, its cost,
 # flow or pressure or power, share within a cell, cost of being outside the positions.
@@ -181,13 +181,14 @@ def charge(node, w, k, stage, cylinder, setting, code, row):
             for j in range(w.size):
                 flow[j] += cylinder_flow(a0 + a1 * w[j], area_out, area_in)
     efficiency, margin, supply = setting[EFFICIENCY], setting[MARGIN], setting[SUPPLY_CP]
+    idle, leak, drag = setting[IDLE], setting[LEAK], setting[DRAG]
     if code == LS:
-        for j in range(w.size):
-            rate[j] = step * pump_power(1.0, flow[j], efficiency)
-            base[j] += rate[j] * margin
+        for j in range(w.size):  # affine in the pressure: losses at no pressure, and the rate at which it costs
+            rate[j] = step * pump_power(1.0, flow[j], efficiency, 0.0, leak, 0.0)
+            base[j] += step * pump_losses(0.0, flow[j], idle, leak, drag) + rate[j] * margin
     elif code == CP or code == RECUPERATION:
         for j in range(w.size):
-            base[j] += step * pump_power(supply, flow[j], efficiency)
+            base[j] += step * pump_power(supply, flow[j], efficiency, idle, leak, drag)
     elif code == EXTENSION:
         for j in range(w.size):
             base[j] += step * w[j] * w[j]

@@ -28,6 +28,7 @@ import numpy as np
 from leanboom import crane as cranes
 from leanboom import hydraulics, motion
 from leanboom.motion import Motion
+from leanboom.shaft import shaft_of
 from leanboom.stages import HELD, Problem, prescribed, threads
 
 LITRE, MEGA = 1e3, 1e-6  # flow in l/s, pressure in MPa: their product is kW
@@ -155,7 +156,7 @@ def _end_rows(ca, problem: Problem, layout: Layout, x, state, pressure, flow, mo
     if layout.flows:
         flow = flow + ca.sum1(x[layout.flow])
         supply = pressure + machine.pump.ls_margin * MEGA if layout.pressures else machine.pump.constant_pressure * MEGA
-        rate = hydraulics.pump_power(supply, flow, machine.pump.efficiency)
+        rate = hydraulics.pump_power(supply, flow, *shaft_of(machine.pump).in_kilowatts())
     elif layout.cost == "actuator":
         rate = 1e-3 * work
     elif layout.cost == "velocity":
@@ -168,7 +169,7 @@ def _end_rows(ca, problem: Problem, layout: Layout, x, state, pressure, flow, mo
             hydraulics.recuperating_flow(v, c.piston_area, c.rod_side_area)
             for v, c in zip(speeds, cylinders, strict=True)
         )
-        rate = 1e-3 * hydraulics.pump_power(machine.pump.constant_pressure, net, machine.pump.efficiency)
+        rate = 1e-3 * hydraulics.pump_power(machine.pump.constant_pressure, net, *shaft_of(machine.pump))
     return ca.vertcat(*rows), rate
 
 
