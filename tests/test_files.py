@@ -513,7 +513,8 @@ BAD_MACHINES = {
             "85: cylinders.extension.stroke = 1.5 m; must be 1.8500 m within 2 %, the change of the cylinder's length "
             "over joints.extension = [0, 3.7] m",
             "100: bodies.column.mass = -1 kg; must be above 0",
-            "121: pump.efficiency is missing; must be a number above 0 and at most 1, such as 0.5",
+            "121: pump.efficiency is missing; must be a number above 0 and at most 1, such as 0.5, or a mapping with "
+            "the keys speed, speeds, displacements, pressures, total",
             "127: pump.efficency is not a key here; valid keys: constant_pressure, ls_margin, max_pressure, max_flow, "
             "tank_pressure, efficiency; did you mean efficiency?",
         ],

@@ -10,6 +10,7 @@ import pytest
 import leanboom as lb
 from leanboom import controllers, integrator, simulation
 from leanboom.errors import InputError
+from leanboom.machine import EfficiencyMap
 from leanboom.motion import from_velocities
 from leanboom.simulation import simulate
 from leanboom.task import Lines
@@ -76,6 +77,20 @@ def test_dead_zone_inverse_control_keeps_the_path_as_well_as_the_paper(runs, pum
     run = runs["forwarder", pump]
     assert run.path_accuracy < 0.35
     assert run.joint_error.max() > 2e-3
+
+
+@pytest.mark.parametrize("lossy", [False, True], ids=["constant", "map"])
+def test_a_pumps_efficiency_counts_in_what_it_takes_and_nowhere_else(runs, lossy):
+    pump = LOADER.machine.pump
+    rows = ((0.6, 0.7), (0.72, 0.8)) if lossy else ()
+    known = EfficiencyMap(25.0, (25.0,), (2e-5, 6e-5), (5e6, 20e6), (rows,)) if lossy else 0.8
+    machine = replace(LOADER.machine, pump=replace(pump, efficiency=known))
+    run = simulate(replace(LOADER, machine=machine), MOTIONS["loader"][1], "cp")
+    assert run.balance["pump"] == pytest.approx(runs["loader", "cp"].balance["pump"], rel=1e-9)
+    assert run.energy == pytest.approx(np.trapezoid(run.power, run.time), rel=2e-3)
+    assert run.energy > 1.2 * run.balance["pump"]
+    if not lossy:
+        assert run.energy == pytest.approx(run.balance["pump"] / 0.8)
 
 
 def test_off_side_chambers_are_held_at_one_megapascal(runs):

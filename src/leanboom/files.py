@@ -29,7 +29,7 @@ from leanboom.machine import (
 )
 
 if TYPE_CHECKING:
-    from leanboom.schema import CylinderKeys, MachineKeys, Section
+    from leanboom.schema import CylinderKeys, MachineKeys, PumpKeys, Section
     from leanboom.source import Key, Source
     from leanboom.task import Task
 
@@ -225,7 +225,7 @@ def _machine(source: Source, stem: str) -> Machine:
         payload_along=keys.payload.along,
         payload_above=keys.payload.above,
         valve=_valve(keys),
-        pump=Pump(**keys.pump.model_dump()),
+        pump=_pump(keys.pump),
         driven_velocity=keys.driven_velocity,
         coriolis=keys.dynamics.coriolis,
         slewing_inertia=keys.dynamics.slewing_inertia,
@@ -267,6 +267,12 @@ def circuit_defaults(valve: str) -> Circuit:
     return METERING if valve == "independent_metering" else Circuit()
 
 
+def _pump(keys: PumpKeys) -> Pump:
+    from leanboom.consistency import efficiency
+
+    return Pump(**keys.model_dump(exclude={"efficiency"}), efficiency=efficiency(keys))
+
+
 def _provenance(source: Source) -> tuple[Provenance, ...]:
     from leanboom.source import dotted, shown
 
@@ -303,10 +309,12 @@ def _validated(model: type[Section], source: Source) -> Section | None:
 
 def _key(source: Source, loc: tuple[str | int, ...]) -> Key:
     """Where a pydantic error is in the file: pydantic also names the chosen type of a section."""
+    from leanboom.schema import EFFICIENCY_MAP
+
     key: Key = ()
     node: Any = source.data  # what is at `key`, as far as the file has it
     for step in loc:
-        if isinstance(node, dict) and step not in node and step == node.get("type"):
+        if isinstance(node, dict) and step not in node and step in (node.get("type"), EFFICIENCY_MAP):
             continue
         key = (*key, step)
         if isinstance(node, dict):

@@ -155,6 +155,20 @@ Valve = MobileValve | IndependentMetering
 
 
 @dataclass(frozen=True, slots=True)
+class EfficiencyMap:
+    """Efficiency of pump and drive together, measured over speed, displacement and pressure; axes rise.
+
+    Displacement is the delivered flow over the speed.
+    """
+
+    speed: float  # of the drive, within `speeds` [rev/s]
+    speeds: tuple[float, ...]  # [rev/s]
+    displacements: tuple[float, ...]  # [m^3/rev]
+    pressures: tuple[float, ...]  # [Pa]
+    total: tuple[tuple[tuple[float, ...], ...], ...]  # (speeds, displacements, pressures)
+
+
+@dataclass(frozen=True, slots=True)
 class Pump:
     """The pump and its two ways to be run. Efficiency is that of pump and drive together (eqs. 36, 43)."""
 
@@ -163,7 +177,7 @@ class Pump:
     max_pressure: float  # [Pa]
     max_flow: float  # [m^3/s]
     tank_pressure: float = 0.0  # [Pa]
-    efficiency: float = 1.0
+    efficiency: float | EfficiencyMap = 1.0  # what becomes of it is in `shaft`
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,10 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
+    Discriminator,
     Field,
     ModelWrapValidatorHandler,
+    Tag,
     ValidationError,
     model_validator,
 )
@@ -23,6 +25,7 @@ from leanboom.rules import (
     Listing,
     Name,
     OneOrTwo,
+    OrMapping,
     Quantity,
     Rule,
     Start,
@@ -37,6 +40,8 @@ from leanboom.rules import (
     rule_of,
     suggestion,
 )
+
+EFFICIENCY_MAP = "(map)"  # pydantic's word for that kind of efficiency; no key of a file
 
 Length = Annotated[float, Quantity("length")]
 PositiveLength = Annotated[float, Quantity("length", above=0)]
@@ -62,6 +67,8 @@ Viscous = Annotated[float, Quantity("viscous friction", least=0)]
 Pressure = Annotated[float, Quantity("pressure", least=0)]
 PositivePressure = Annotated[float, Quantity("pressure", above=0)]
 Flow = Annotated[float, Quantity("flow", above=0)]
+Speed = Annotated[float, Quantity("rotational speed", above=0)]
+Displacement = Annotated[float, Quantity("displacement", above=0)]
 Frequency = Annotated[float, Quantity("frequency", above=0)]
 Duration = Annotated[float, Quantity("time", above=0, most=3600)]
 Time = Annotated[float, Quantity("time", least=0, most=3600)]
@@ -84,6 +91,16 @@ Steps = Annotated[
     tuple[Length, Length, Length, Length], Listing("four lengths", "length", 4, 4), AfterValidator(rising)
 ]
 Coefficients = Annotated[tuple[Number, ...], Listing("2 to 12 numbers, highest power first", "number", 2, 12)]
+Speeds = Annotated[tuple[Speed, ...], Listing("at least one speed", "rotational speed", 1), AfterValidator(rising)]
+Displacements = Annotated[
+    tuple[Displacement, ...], Listing("at least two displacements", "displacement", 2), AfterValidator(rising)
+]
+Pressures = Annotated[
+    tuple[PositivePressure, ...], Listing("at least two pressures", "pressure", 2), AfterValidator(rising)
+]
+Efficiencies = Annotated[tuple[Efficiency, ...], Listing("efficiencies, one for each of pressures", "number", 2)]
+Table = Annotated[tuple[Efficiencies, ...], Listing("rows, one for each of displacements", "number", 2)]
+Tables = Annotated[tuple[Table, ...], Listing("tables, one for each of speeds", "number", 1)]
 Point = Annotated[tuple[Length, Length, Length], Listing("three lengths x, y, z", "length", 3, 3, bare=True)]
 Points = Annotated[tuple[Point, ...], Listing("at least two points [x, y, z]", "length", 2, bare=True)]
 Durations = Annotated[tuple[Duration, ...], Listing("at least one time", "time", 1)]
@@ -328,6 +345,21 @@ class IndependentMeteringKeys(Section):
     """The same in the closed-loop simulation."""
 
 
+class EfficiencyKeys(Section):
+    """Efficiency of pump and drive together over speed, displacement and pressure."""
+
+    speed: Speed
+    """Of the drive, from the first to the last of speeds."""
+    speeds: Speeds
+    """At which the tables were measured, rising."""
+    displacements: Displacements
+    """Delivered flow over speed, rising."""
+    pressures: Pressures
+    """Rising."""
+    total: Tables
+    """A table for each speed, in it a row for each displacement, in it a total efficiency for each pressure."""
+
+
 class PumpKeys(Section):
     """The pump."""
 
@@ -338,8 +370,12 @@ class PumpKeys(Section):
     max_pressure: PositivePressure
     max_flow: Flow
     tank_pressure: Pressure
-    efficiency: Efficiency
-    """Of pump and drive together."""
+    efficiency: Annotated[
+        Annotated[float, Tag("number")] | Annotated[EfficiencyKeys, Tag(EFFICIENCY_MAP)],
+        Discriminator(lambda value: EFFICIENCY_MAP if isinstance(value, dict) else "number"),
+        OrMapping(Quantity("number", above=0, most=1), ", ".join(EfficiencyKeys.model_fields)),
+    ]
+    """Of pump and drive together: a number, or a map over speed, displacement and pressure."""
 
 
 class DynamicsKeys(Section):

@@ -24,6 +24,7 @@ from leanboom.judge import Evaluation, evaluate
 from leanboom.machine import MobileValve
 from leanboom.motion import Motion
 from leanboom.plant import Plant
+from leanboom.shaft import shaft_of
 from leanboom.task import Task, sample
 from leanboom.valves import Spools
 
@@ -257,6 +258,10 @@ def _result(
     target = planned.joint_position[np.minimum(np.arange(count), planned.time.size - 1)]
     supply, flow = states[:, layout.supply].copy(), observed["pump_flow"][:, 0]
     energies = states[:, layout.energy]
+    # What is in proportion to p Q was integrated with the motion; the losses of an efficiency map follow here.
+    shaft = shaft_of(machine.pump)
+    losses = hydraulics.pump_losses(supply, flow, shaft.idle, shaft.leak, shaft.drag)
+    lost = np.concatenate([[0.0], np.cumsum(0.5 * run.step * (losses[1:] + losses[:-1]))])
     kinetic, potential = (np.asarray(value.full()).ravel() for value in run.plant.energy(states[[0, -1]].T))
     balance = dict(zip(plant.ENERGIES, energies[-1].tolist(), strict=True))
     balance |= {"kinetic": float(kinetic[1] - kinetic[0]), "potential": float(potential[1] - potential[0])}
@@ -275,8 +280,8 @@ def _result(
         "force": observed["force"],
         "supply": supply,
         "pump_flow": flow,
-        "power": hydraulics.pump_power(supply, flow, machine.pump.efficiency),
-        "cumulative": energies[:, 0] / machine.pump.efficiency,
+        "power": hydraulics.pump_power(supply, flow, *shaft),
+        "cumulative": energies[:, 0] / shaft.efficiency + lost,
     }
     for array in arrays.values():
         array.setflags(write=False)

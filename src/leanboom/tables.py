@@ -13,7 +13,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from leanboom import inspection
+from leanboom import inspection, shaft
+from leanboom.machine import EfficiencyMap
 from leanboom.source import shortened
 from leanboom.task import Spline
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from leanboom.comparison import Comparison, Row
     from leanboom.experiments import Line
     from leanboom.judge import Evaluation
-    from leanboom.machine import Machine
+    from leanboom.machine import Machine, Pump
     from leanboom.planner import Plan
     from leanboom.reproduction import Reproduction
     from leanboom.simulation import Simulation
@@ -283,9 +284,27 @@ def machine_facts(machine: Machine) -> dict[str, Any]:
             "ls_margin_pa": machine.pump.ls_margin,
             "max_pressure_pa": machine.pump.max_pressure,
             "max_flow_m3_s": machine.pump.max_flow,
-            "efficiency": machine.pump.efficiency,
+            "efficiency": _efficiency(machine.pump),
         },
         "values": inspection.count(machine),
+    }
+
+
+def _efficiency(pump: Pump) -> Any:
+    """The constant efficiency, or what became of a map."""
+    if not isinstance(pump.efficiency, EfficiencyMap):
+        return pump.efficiency
+    met = shaft.fit(pump.efficiency)
+    return {
+        "speed_rev_s": pump.efficiency.speed,
+        "shaft": {
+            "efficiency": met.shaft.efficiency,
+            "idle_w": met.shaft.idle,
+            "leak_w_per_pa": met.shaft.leak,
+            "drag_w_s2_m6": met.shaft.drag,
+        },
+        "typical_error": met.typical,
+        "largest_error": met.largest,
     }
 
 
@@ -345,6 +364,7 @@ def machine_detail(console: Console, machine: Machine) -> None:
         f"Pump      at most {pump.max_pressure / 1e6:g} MPa and {pump.max_flow * 6e4:.0f} l/min, load-sensing margin "
         f"{pump.ls_margin / 1e6:g} MPa, constant pressure {pump.constant_pressure / 1e6:g} MPa",
     )
+    _say(console, f"Drive     efficiency {inspection.efficiency(machine)}")
     console.print()
     table = _table("Joint", "Connection", "range", "areas\ncm^2", "stroke\nm", "limit\nm/s", "limit\nm/s^2", numbers=5)
     for joint, cylinder in zip(machine.joints, machine.cylinders, strict=True):
@@ -450,6 +470,7 @@ def _machine_report(console: Console, machine: Machine) -> None:
     held = ", ".join(f"{name} {pressure / 1e6:.1f} MPa" for name, pressure in pairs if pressure > 0.0)
     _say(console, f"Held at reach     {held or 'no pressure needed'} (empty, at rest)")
     _say(console, f"Lifts at reach    {reach.capacity:.0f} kg more, with the load-sensing margin kept")
+    _say(console, f"Pump efficiency   {inspection.efficiency(machine)}")
     for doubt in inspection.doubts(machine):
         _say(console, f"Doubtful          {doubt}", "yellow")
     console.print()

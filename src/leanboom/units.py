@@ -38,6 +38,8 @@ KINDS = {
         Kind("force", "N", "6 kN"),
         Kind("pressure", "Pa", "21.5 MPa"),
         Kind("flow", "m^3/s", "325 l/min"),
+        Kind("rotational speed", "rev/s", "1800 rev/min"),
+        Kind("displacement", "m^3/rev", "45 cm^3/rev"),
         Kind("sharpness", "s/m", "2000 s/m"),
         Kind("viscous friction", "N s/m", "330 N s/m"),
         Kind("number", "", "0.5"),
@@ -61,6 +63,8 @@ gram = [mass] = g
 tonne = 1e3 * kilogram = t
 radian = [angle] = rad
 degree = {Fraction(pi / 180)} * radian = deg
+revolution = {Fraction(pi / 180) * 360} * radian = rev
+revolutions_per_minute = revolution / minute = rpm
 liter = 1e-3 * meter ** 3 = l = L = litre
 newton = kilogram * meter / second ** 2 = N
 pascal = newton / meter ** 2 = Pa
