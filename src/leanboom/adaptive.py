@@ -12,9 +12,13 @@ die out. The chamber that carries the load makes the force; the other, the off-s
 | G, m | force of gravity on the cylinder, mass that it feels at once, both of the model | N, kg |
 | F_L | what else loads the cylinder, friction and couplings: adapted | N |
 | F_d = G + F_L + m (a_d - k_1 (v - v_d) - k_2 s) | desired force | N |
-| F_L' = -gamma m s, held inside +-A p_max | adaptation | N/s |
+| k = B_eff (A_A^2 / V_A + A_B^2 / V_B) | stiffness of the locked cylinder | N/m |
+| F_L' = -gamma k s, held inside +-A p_max | adaptation | N/s |
 | p_A = max(p_0, (F_d + p_0 A_B) / A_A) | desired pressure of chamber A, likewise B; p_0 off-side | Pa |
 | Q = A v_eq + V/B_eff (p_d' - k_3 (p - p_d)) | desired flow of a chamber | m^3/s |
+
+A chamber whose pressure is left to itself answers a velocity error with the stiffness k, one held at p_d with none. With
+gamma below 1 the cylinder is something in between, spring and damper, whatever mass it moves.
 
 Couplings between the joints are left to the robustness of the law, as the 3-DOF paper leaves them.
 """
@@ -30,8 +34,8 @@ from leanboom import plant, valves
 from leanboom.controllers import Rig, Sample
 from leanboom.machine import IndependentMetering
 
-K1, K2, K3 = 6.0, 8.0, 15.0  # [1/s]
-ADAPTATION = 500.0  # gamma [1/s^2]
+K1, K2, K3 = 6.0, 8.0, 20.0  # [1/s]
+ADAPTATION = 0.05  # gamma, below 1: the oil's own stiffness would follow no faster
 SMOOTH = 60.0  # of the desired pressures' rates [rad/s]
 LEAST_ERROR = 0.004  # a cylinder that planning counts as held is driven only for a larger error [m]
 
@@ -92,7 +96,10 @@ class _Function:
         self._turn(v_d, error)
         if self._direction == 0.0:
             return 0.0, 0.0
-        self._load = min(max(self._load - ADAPTATION * mass * s * self._step, -self._most), self._most)
+        volume_a = self._dead + self._a * min(max(x, 0.0), self._travel)
+        volume_b = self._dead + self._b * min(max(self._travel - x, 0.0), self._travel)
+        stiffness = self._bulk * (self._a * self._a / volume_a + self._b * self._b / volume_b)
+        self._load = min(max(self._load - ADAPTATION * stiffness * s * self._step, -self._most), self._most)
         force = gravity + self._load + mass * (a_d - K1 * (v - v_d) - K2 * s)
         a = max(self._rest, (force + self._rest * self._b) / self._a)
         b = max(self._rest, (self._rest * self._a - force) / self._b)
@@ -101,8 +108,6 @@ class _Function:
         smooth = (before[0] + share * (a - before[0]), before[1] + share * (b - before[1]))
         rates = ((smooth[0] - before[0]) / self._step, (smooth[1] - before[1]) / self._step)
         self._wanted = smooth
-        volume_a = self._dead + self._a * min(max(x, 0.0), self._travel)
-        volume_b = self._dead + self._b * min(max(self._travel - x, 0.0), self._travel)
         flow_a = self._a * velocity + volume_a / self._bulk * (rates[0] - K3 * (p_a - smooth[0]))
         flow_b = -self._b * velocity + volume_b / self._bulk * (rates[1] - K3 * (p_b - smooth[1]))
         # Connections P-A and B-T open together, or P-B and A-T; a chamber is never filled against its direction.
