@@ -95,7 +95,15 @@ def test_the_page_is_whole_needs_no_network_and_escapes_names(run):
     parser.feed(page)
     assert parser.open == [] and parser.sources == []
     data = json.loads(page.split('id="data">')[1].split("</script>")[0])
-    assert len(data["time"]) == len(data["pump"][0]["values"]) <= simulation_page.POINTS
+    charts = [
+        *data["pump"],
+        *(chart for part in ("joints", "cylinders") for row in data[part] for chart in row["charts"]),
+    ]
+    sizes = {len(line["values"]) for chart in charts for line in chart["lines"]}
+    assert sizes == {len(data["time"])} and len(data["time"]) <= simulation_page.POINTS
+    assert [line["name"] for line in data["pump"][1]["lines"]] == ["planned", "simulated"]
+    pressures = data["cylinders"][0]["charts"][0]["lines"]
+    assert [line["name"] for line in pressures] == ["planned", "piston side", "rod side"]
     assert [group["title"] for group in data["joints"]] == ["Positions", "Errors", "Piston velocities"]
     assert len(data["cylinders"][0]["charts"]) == 3
 

@@ -17,8 +17,8 @@ die out. The chamber that carries the load makes the force; the other, the off-s
 | p_A = max(p_0, (F_d + p_0 A_B) / A_A) | desired pressure of chamber A, likewise B; p_0 off-side | Pa |
 | Q = A v_eq + V/B_eff (p_d' - k_3 (p - p_d)) | desired flow of a chamber | m^3/s |
 
-A chamber whose pressure is left to itself answers a velocity error with the stiffness k, one held at p_d with none. With
-gamma below 1 the cylinder is something in between, spring and damper, whatever mass it moves.
+A chamber whose pressure is left to itself answers a velocity error with the stiffness k, one held at p_d with none.
+With gamma below 1 the cylinder is something in between, spring and damper, whatever mass it moves.
 
 Couplings between the joints are left to the robustness of the law, as the 3-DOF paper leaves them.
 """

@@ -217,32 +217,29 @@ def _data(run: Simulation) -> dict[str, Any]:
         return scale * np.where(after, 0.0, values[there]) if rest else scale * values[there]
 
     pump = [
-        _chart("Flow", "flow", "l/min", PLAN_COLOUR, 6e4 * run.pump_flow[at], planned(plan.pump_flow, 6e4, True)),
-        _chart("Supply pressure", "pressure", "MPa", PLAN_COLOUR, 1e-6 * run.supply[at], planned(supply, 1e-6)),
-        _chart("Power", "power", "kW", PLAN_COLOUR, 1e-3 * run.power[at], planned(power, 1e-3, True)),
-        _chart("Energy so far", "energy", "kJ", PLAN_COLOUR, 1e-3 * run.cumulative[at], planned(energy, 1e-3)),
+        _chart("Flow", "flow", "l/min", [(6e4 * run.pump_flow[at], PLAN_COLOUR)], planned(plan.pump_flow, 6e4, True)),
+        _chart("Supply pressure", "pressure", "MPa", [(1e-6 * run.supply[at], PLAN_COLOUR)], planned(supply, 1e-6)),
+        _chart("Power", "power", "kW", [(1e-3 * run.power[at], PLAN_COLOUR)], planned(power, 1e-3, True)),
+        _chart("Energy so far", "energy", "kJ", [(1e-3 * run.cumulative[at], PLAN_COLOUR)], planned(energy, 1e-3)),
     ]
     joints: dict[str, list] = {"Positions": [], "Errors": [], "Piston velocities": []}
     cylinders: dict[str, list] = {"Chamber pressures": [], "Valve commands": []}
-    ports = run.command.shape[1] // len(run.task.machine.names)
+    commands = run.command.reshape(run.time.size, len(run.task.machine.names), -1)
     for j, name in enumerate(run.task.machine.names):
-        title, colour, unit = name.capitalize(), COLOURS[name], "m" if name == "extension" else "rad"
-        small, q = ("mm", 1e3) if name == "extension" else ("mrad", 1e3)
+        title, colour = name.capitalize(), COLOURS[name]
+        unit, small = ("m", "mm") if name == "extension" else ("rad", "mrad")
         joints["Positions"].append(
-            _chart(title, "position", unit, colour, run.joint_position[at, j], run.joint_target[at, j])
+            _chart(title, "position", unit, [(run.joint_position[at, j], colour)], run.joint_target[at, j])
         )
-        error = q * (run.joint_position[at, j] - run.joint_target[at, j])
-        joints["Errors"].append(_chart(title, "error", small, colour, error, None))
-        joints["Piston velocities"].append(
-            _chart(title, "velocity", "m/s", colour, run.velocity[at, j], planned(plan.velocity[:, j], 1.0, True))
-        )
-        cylinders["Chamber pressures"].append(
-            _chart(title, "pressure", "MPa", colour, 1e-6 * run.pressure_a[at, j], 1e-6 * run.pressure_b[at, j], "ab")
-        )
-        other = run.command[at, j * ports + 1] if ports == 2 else None
-        cylinders["Valve commands"].append(
-            _chart(title, "command", "", colour, run.command[at, j * ports], other, "ab")
-        )
+        error = 1e3 * (run.joint_position[at, j] - run.joint_target[at, j])
+        joints["Errors"].append(_chart(title, "error", small, [(error, colour)]))
+        velocity = planned(plan.velocity[:, j], 1.0, True)
+        joints["Piston velocities"].append(_chart(title, "velocity", "m/s", [(run.velocity[at, j], colour)], velocity))
+        chambers = [(1e-6 * run.pressure_a[at, j], colour), (1e-6 * run.pressure_b[at, j], colour)]
+        counted = planned(plan.pressure[:, j], 1e-6, True)
+        cylinders["Chamber pressures"].append(_chart(title, "pressure", "MPa", chambers, counted))
+        ports = [(commands[at, j, port], colour) for port in range(commands.shape[2])]
+        cylinders["Valve commands"].append(_chart(title, "command", "", ports))
     return {
         "time": _rounded(run.time[at]),
         "pump": pump,
@@ -251,13 +248,16 @@ def _data(run: Simulation) -> dict[str, Any]:
     }
 
 
-def _chart(title, axis, unit, colour, values, other, kind: str = "plan") -> dict[str, Any]:
-    """One chart: what happened, and the plan or the other chamber beside it."""
-    names = ("simulated", "planned") if kind == "plan" else ("piston side", "rod side")
-    return {
-        "title": title, "axis": axis, "unit": unit, "colour": colour, "name": names[0], "other_name": names[1],
-        "values": _rounded(values), "other": None if other is None else _rounded(other),
-    }  # fmt: skip
+def _chart(
+    title: str, axis: str, unit: str, found: list[tuple[np.ndarray, str]], planned: np.ndarray | None = None
+) -> dict[str, Any]:
+    """One chart: what happened, for ports A and B where there are two, and the plan behind it."""
+    names = ["simulated"] if len(found) == 1 else ["piston side", "rod side"]
+    lines = [] if planned is None else [{"name": "planned", "values": planned, "colour": "#7b8490", "dash": "5px,3px"}]
+    for name, (values, colour), dash in zip(names, found, ("", "2px,2px"), strict=False):
+        lines.append({"name": name, "values": values, "colour": colour, "dash": dash})
+    drawn = [{**line, "values": _rounded(line["values"])} for line in lines]
+    return {"title": title, "axis": axis, "unit": unit, "lines": drawn}
 
 
 def _rounded(values: np.ndarray) -> list[float | None]:

@@ -1,5 +1,5 @@
 "use strict";
-// Draws the charts of a simulated run from the data above: what happened in full lines, the plan in dashed ones.
+// Draws the charts of a simulated run from the data above.
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
   const font = getComputedStyle(document.body).fontFamily;
@@ -15,12 +15,10 @@
     plot.setAttribute("aria-label", `${spec.title}, ${spec.axis} in ${spec.unit} over time in s`);
     box.append(title, plot);
     parent.appendChild(box);
-    const line = (values, name, style) => ({
-      x: data.time, y: values, name, mode: "lines", line: style, hovertemplate: `%{y:.4~g} ${spec.unit}`,
-    });
-    const traces = [];
-    if (spec.other) traces.push(line(spec.other, spec.other_name, { color: "#7b8490", width: 1.6, dash: "5px,3px", simplify: false }));
-    traces.push(line(spec.values, spec.name, { color: spec.colour, width: 2, simplify: false }));
+    const traces = spec.lines.map(({ name, values, colour, dash }) => ({
+      x: data.time, y: values, name, mode: "lines", hovertemplate: `%{y:.4~g} ${spec.unit}`,
+      line: { color: colour, width: dash ? 1.6 : 2, dash: dash || "solid", simplify: false },
+    }));
     const axis = { gridcolor: "#e8ebef", zerolinecolor: "#c3cad2", linecolor: "#c3cad2", tickfont: { size: 11 }, fixedrange: coarse, automargin: true };
     Plotly.newPlot(plot, traces, {
       height,
@@ -29,7 +27,7 @@
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
       showlegend: false, hovermode: "x unified", dragmode: coarse ? false : "zoom",
       xaxis: { ...axis, range: [0, data.time[data.time.length - 1]], title: { text: "time [s]", font: { size: 11.5 }, standoff: 4 }, hoverformat: ".2f" },
-      yaxis: { ...axis, title: { text: `${spec.axis} [${spec.unit}]`, font: { size: 11.5 }, standoff: 6 } },
+      yaxis: { ...axis, title: { text: spec.unit ? `${spec.axis} [${spec.unit}]` : spec.axis, font: { size: 11.5 }, standoff: 6 } },
     }, { displayModeBar: false, responsive: true, scrollZoom: false });
   }
 
