@@ -197,6 +197,30 @@ def test_a_locked_cylinder_swings_as_the_analytic_second_order_system():
     assert np.abs(moved - analytic).max() < 5e-3 * analytic.max()
 
 
+@pytest.mark.parametrize("share", [0.1, 0.9])
+def test_closed_chambers_follow_eqs_18_and_19_wherever_the_piston_is(share):
+    """The lift of the loader with closed valves: volumes from lengths by the law of cosines, not from the plant."""
+    built = plant.of(LOADER)
+    layout, machine = built.layout, LOADER.machine
+    y = np.zeros(layout.size)
+    y[layout.q] = [joint.lower + share * (joint.upper - joint.lower) for joint in machine.joints]
+    y[layout.v] = [0.3, 0.0, 0.0]
+    y[layout.a], y[layout.b], y[layout.supply] = 8e6, 3e6, 10e6
+    rates = np.asarray(built.rates(y, np.zeros(13))).ravel()
+    link, cylinder = machine.cylinders[0].linkage, machine.cylinders[0]
+
+    def length(q):
+        return np.sqrt(link.long**2 + link.short**2 - 2 * link.long * link.short * np.cos(q + link.angle))
+
+    x = length(y[0]) - length(machine.joints[0].lower)
+    travel = length(machine.joints[0].upper) - length(machine.joints[0].lower)
+    v = 0.3 * (length(y[0] + 1e-6) - length(y[0] - 1e-6)) / 2e-6
+    a, b = cylinder.piston_area, cylinder.rod_side_area
+    assert rates[layout.a][0] == pytest.approx(-1e9 * a * v / (0.5e-3 + a * x), rel=1e-6)
+    assert rates[layout.b][0] == pytest.approx(1e9 * b * v / (0.5e-3 + b * (travel - x)), rel=1e-6)
+    assert rates[layout.a][1] == 0.0  # the tilt is locked
+
+
 def test_cylinder_ends_push_back_and_never_pull():
     x = np.array([-1e-3, 0.0, 0.3, 0.6, 0.601])
     force = fluid.end_force(x, 0.0, 0.6, 1e8)
