@@ -240,8 +240,12 @@ class _Run:
         free = start is None
         # Polish, then look around what it found: it has moved on from where its seed's modes came from.
         self.polish(problem, self.best, free, rounds=1)
-        self.tubes(problem, self.best, start, width, spread, range(BASIN_LEVELS, TUBE_LEVELS))
-        self.polish(problem, self.best, free)
+        polished = self.best
+        # Without loads there are no modes, so one tube tells whether there is anything to find.
+        last = TUBE_LEVELS if self.cost in ("ls", "actuator") else BASIN_LEVELS + 1
+        self.tubes(problem, polished, start, width, spread, range(BASIN_LEVELS, last))
+        if self.best is not polished:
+            self.polish(problem, self.best, free)
         if self.rides_on_a_limit(problem):
             other = self.baseline(float(self.best.motion.position[0]) if free else start)
             if other is not None:
