@@ -423,3 +423,15 @@ def test_stage_cost_on_a_node_is_the_cost_by_the_crane_formulas(name, cost):
         }[cost]
         assert value == pytest.approx(problem.step * wanted, rel=1e-6, abs=1e-6)
     assert counted > 25
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_motion_that_runs_away_stays_on_the_grid(bad):
+    """Indices come from clamped numbers alone: with bounds checked, anything else raises here."""
+    small = problem(3, "ls")
+    values = swept(small)
+    count = small.stages + 1
+    position, velocity, control = np.zeros(count), np.zeros(count), np.zeros(count - 1)
+    kernels.rollout(*small.arrays, values, np.array([bad, 0.0]), 0, position, velocity, control)
+    assert not np.isfinite(position).any()
+    assert not np.isfinite(at(small, values[1], 1, bad, 0.0))

@@ -103,11 +103,18 @@ def layer(value, stage, setting, k):
 
 
 @njit(cache=True, error_model="numpy")
+def within(x, top):
+    """The number between 0 and `top` nearest to x; 0 where x is not a number, so that it may become an index."""
+    x = x if x > 0.0 else 0.0
+    return x if x < top else top
+
+
+@njit(cache=True, error_model="numpy")
 def interpolate(ahead, c, w):
     """Bilinear value at (c, w) of a layer; outside its nodes, the edge value plus a slope times the distance."""
     x, y = (c - ahead.c_lo) * ahead.per_dc, (w - ahead.w_lo) * ahead.per_dw
     positions, velocities = ahead.value.shape
-    inside_x, inside_y = min(max(x, 0.0), positions - 1.0), min(max(y, 0.0), velocities - 1.0)
+    inside_x, inside_y = within(x, positions - 1.0), within(y, velocities - 1.0)
     extra = ahead.slope_c * abs(x - inside_x) + ahead.slope_w * abs(y - inside_y)
     i, j = np.uint32(min(inside_x, positions - 2.0)), np.uint32(min(inside_y, velocities - 2.0))
     x, y = inside_x - i, inside_y - j
@@ -290,7 +297,7 @@ def try_nodes(c, w, step, ahead, code, lowest, row):
     middle = c + 0.5 * step * (w[0] + ahead.w_lo)
     for total in range(w.size + velocities - 1):
         x = (middle + half * total - ahead.c_lo) * ahead.per_dc
-        inside = min(max(x, 0.0), positions - 1.0)
+        inside = within(x, positions - 1.0)
         i = np.uint32(min(inside, positions - 2.0))
         cell[total], share[total], beyond[total] = i, inside - i, ahead.slope_c * abs(x - inside)
     lowest_u, highest_u = np.inf, -np.inf
@@ -463,7 +470,7 @@ def rollout(coefficients, outside, stage, cylinder, setting, values, start, firs
     total = 0.0
     for k in range(first, stages):
         c, w = position[k], velocity[k]
-        x = min(max((c - stage[k, C_LO]) / stage[k, DC], 0.0), coefficients.shape[1] - 1.0)
+        x = within((c - stage[k, C_LO]) / stage[k, DC], coefficients.shape[1] - 1.0)
         i = min(int(x), coefficients.shape[1] - 2)
         x -= i
         for m in range(n):
