@@ -7,12 +7,15 @@ imported when a file is read, not before.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from leanboom.errors import InputError
 from leanboom.machine import (
+    METERING,
     Body,
+    Circuit,
     Connection,
     Cylinder,
     Friction,
@@ -227,6 +230,7 @@ def _machine(source: Source, stem: str) -> Machine:
         coriolis=keys.dynamics.coriolis,
         slewing_inertia=keys.dynamics.slewing_inertia,
         gravity=keys.gravity,
+        circuit=replace(circuit_defaults(keys.valve.type), **keys.simulation.model_dump(exclude_none=True)),
         provenance=_provenance(source),
     )
 
@@ -252,6 +256,15 @@ def _cylinder(name: str, keys: CylinderKeys) -> Cylinder:
 def _valve(keys: MachineKeys) -> MobileValve | IndependentMetering:
     values = keys.valve.model_dump(exclude={"type"})
     return MobileValve(**values) if keys.valve.type == "mobile_valve" else IndependentMetering(**values)
+
+
+def circuit_defaults(valve: str) -> Circuit:
+    """What the simulation takes where a machine file says nothing.
+
+    Args:
+        valve: The type of the machine's valve, as in its file.
+    """
+    return METERING if valve == "independent_metering" else Circuit()
 
 
 def _pump(keys: PumpKeys) -> Pump:

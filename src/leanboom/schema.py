@@ -48,10 +48,12 @@ PositiveLength = Annotated[float, Quantity("length", above=0)]
 LeastLength = Annotated[float, Quantity("length", least=0)]
 Angle = Annotated[float, Quantity("angle")]
 Area = Annotated[float, Quantity("area", above=0)]
+Volume = Annotated[float, Quantity("volume", above=0)]
 Number = Annotated[float, Quantity("number")]
 PositiveNumber = Annotated[float, Quantity("number", above=0)]
 Coefficient = Annotated[float, Quantity("number", least=0)]
 Share = Annotated[float, Quantity("number", least=0, most=1)]
+DeadZone = Annotated[float, Quantity("number", least=0, most=0.9)]
 Efficiency = Annotated[float, Quantity("number", above=0, most=1)]
 Mass = Annotated[float, Quantity("mass", above=0)]
 Payload = Annotated[float, Quantity("mass", least=0)]
@@ -70,6 +72,8 @@ Displacement = Annotated[float, Quantity("displacement", above=0)]
 Frequency = Annotated[float, Quantity("frequency", above=0)]
 Duration = Annotated[float, Quantity("time", above=0, most=3600)]
 Time = Annotated[float, Quantity("time", least=0, most=3600)]
+PumpTime = Annotated[float, Quantity("time", above=0, most=10)]
+Delay = Annotated[float, Quantity("time", least=0, most=10)]
 Bool = Annotated[bool, Switch()]
 Words = Annotated[str, Text()]
 Identifier = Annotated[str, Name()]
@@ -383,6 +387,35 @@ class DynamicsKeys(Section):
     """Inertia about the slewing axis in the base cylinder's force."""
 
 
+class CircuitKeys(Section):
+    """The hydraulics of the closed-loop simulation; what is not given is taken from the kind of valve."""
+
+    bulk_modulus: PositivePressure | None = None
+    """Effective, of oil and hoses."""
+    dead_volume: Volume | None = None
+    """Chamber and hose with the piston at its end."""
+    line_volume: Volume | None = None
+    """Between pump and valves."""
+    pump_time_constant: PumpTime | None = None
+    """Of the supply pressure."""
+    edge_flow: Flow | None = None
+    """Flow of a fully open valve edge at its compensated pressure drop."""
+    edge_drop: PositivePressure | None = None
+    """That drop; a mobile valve's compensator_drop counts instead."""
+    spool_bandwidth: Frequency | None = None
+    """Of the spool behind its command."""
+    delay: Delay | None = None
+    """From a command to the spool's first movement; at least one sample of 2 ms."""
+    dead_zone: DeadZone | None = None
+    """Share of the spool's travel that opens nothing."""
+    counter_pressure: Pressure | None = None
+    """Of the return line above the tank."""
+    seal_friction: Share | None = None
+    """Coulomb friction beside planning's, as a share of the cylinder's force at constant pressure."""
+    seal_damping: Share | None = None
+    """Viscous friction at the velocity limit beside planning's, as a share of the same force."""
+
+
 class Bodies(Rule):
     """Bodies by name."""
 
@@ -415,6 +448,7 @@ class MachineKeys(Section):
     driven_velocity: Velocity
     """Slower cylinders count as not driven."""
     dynamics: DynamicsKeys = DynamicsKeys()
+    simulation: CircuitKeys = CircuitKeys()
     gravity: Gravity = 9.80665
 
 

@@ -25,8 +25,10 @@ if TYPE_CHECKING:
     from leanboom.machine import Machine, Pump
     from leanboom.planner import Plan
     from leanboom.reproduction import Reproduction
+    from leanboom.simulation import Simulation
     from leanboom.task import Task
 
+EVENTS_SHOWN = 12
 PIPE_WIDTH = 160  # of tables that do not go to a terminal
 PUMPS = {"ls": "load-sensing pump", "cp": "constant-pressure pump"}
 
@@ -133,6 +135,46 @@ def _start(task: Task) -> str:
     return task.start if isinstance(task.start, str) else _length(task.start)
 
 
+def simulation(console: Console, run: Simulation, out: Path | None) -> None:
+    """A simulated run beside its plan.
+
+    Args:
+        console: Where to print.
+        run: The run.
+        out: Its folder, if it has one.
+    """
+    name = shortened(run.task.name, 80)
+    _say(console, f"{name}: {shortened(run.task.machine.name, 80)}, {PUMPS[run.pump]}, closed loop", "bold")
+    console.print()
+    change = f"{100.0 * (run.energy / run.planned_energy - 1.0):+.1f} %" if run.planned_energy > 0.0 else "-"
+    errors = ", ".join(
+        f"{joint} {error:.4f} {'m' if joint == 'extension' else 'rad'}"
+        for joint, error in zip(run.task.machine.names, run.joint_error, strict=True)
+    )
+    facts = (
+        ("Energy", f"{run.energy / 1e3:.2f} kJ simulated, {run.planned_energy / 1e3:.2f} kJ planned ({change})"),
+        ("Method", f"{run.motion.method}, minimising {run.motion.cost}"),
+        ("Path accuracy", f"{run.path_accuracy:.3f} m (ISO 9283)"),
+        ("Largest joint errors", errors),
+        ("Energy balance", f"{100.0 * run.balance_error:.4f} % not found again"),
+        ("Simulated in", f"{run.wall_s:.2f} s, {run.realtime_factor:.0f} times faster than real time"),
+    )
+    for label, text in facts:
+        _say(console, f"{label:<22}{text}")
+    if not run.planned.feasible:
+        _say(console, f"{'Note':<22}the plan breaks a limit: {shortened(run.planned.status, 300)}", "yellow")
+    for event in run.events[:EVENTS_SHOWN]:
+        _say(
+            console,
+            f"{'Event':<22}{event.time:.2f} s, for {event.duration:.2f} s: {shortened(event.text, 300)}",
+            "yellow",
+        )
+    if len(run.events) > EVENTS_SHOWN:
+        _say(console, f"{'':<22}and {len(run.events) - EVENTS_SHOWN} more events", "yellow")
+    if out is not None:
+        _say(console, f"{'Report':<22}{shortened(str(out / 'simulation.html'), 400)}")
+
+
 def comparison(console: Console, result: Comparison, out: Path | None) -> None:
     """The rows of a comparison, sorted, a table a start and pump.
 
@@ -149,11 +191,14 @@ def comparison(console: Console, result: Comparison, out: Path | None) -> None:
             _say(console, f"{name}: {PUMPS[pump]}, {where} start, {task.duration:g} s", "bold")
             console.print()
             best = result.best(pump, start)
-            table = _table("Method (minimised cost)", "energy\nkJ", "relative", "solved\ns", "", numbers=4)
+            more = ("simulated\nkJ",) if any(row.simulated is not None for row in result.rows) else ()
+            table = _table(
+                "Method (minimised cost)", "energy\nkJ", "relative", *more, "solved\ns", "", numbers=4 + len(more)
+            )
             table.columns[-1].justify = "left"
             table.columns[-1].no_wrap = False
             for row in result.block(pump, start):
-                _row(table, *_compared(row, best))
+                _row(table, *_compared(row, best, bool(more)))
             console.print(table)
             if best is None:
                 _say(console, "No method found a motion that keeps every limit.", "red")
@@ -163,14 +208,16 @@ def comparison(console: Console, result: Comparison, out: Path | None) -> None:
     _say(console, f"{inspection.assumed(task.machine)}.")
 
 
-def _compared(row: Row, best: Row | None) -> list[str]:
+def _compared(row: Row, best: Row | None, simulated: bool) -> list[str]:
     """The cells of a comparison's row."""
     energy, least = row.energy, None if best is None else best.energy
     seconds = row.summary["solve_s"]
+    driven = "-" if row.simulated is None else f"{row.simulated / 1e3:.2f}"
     return [
         row.label,
         "-" if energy is None else f"{energy / 1e3:.2f}",
         "-" if energy is None or not least else f"{energy / least:.3f}",
+        *([driven] if simulated else []),
         "-" if seconds is None else f"{seconds:.1f}",
         "best" if row is best else "" if row.feasible else row.status,
     ]

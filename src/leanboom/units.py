@@ -28,6 +28,7 @@ KINDS = {
         Kind("length", "m", "610 mm"),
         Kind("angle", "rad", "-0.425 rad"),
         Kind("area", "m^2", "103.87 cm^2"),
+        Kind("volume", "m^3", "1.5 l"),
         Kind("mass", "kg", "370 kg"),
         Kind("inertia", "kg m^2", "420 kg m^2"),
         Kind("time", "s", "0.05 s"),

@@ -12,6 +12,8 @@ from pydantic import ValidationError
 from leanboom.consistency import SIZE_KEYS, areas
 from leanboom.errors import InputError
 from leanboom.machine import (
+    METERING,
+    Circuit,
     Cylinder,
     FourBar,
     Linkage,
@@ -49,6 +51,7 @@ def machine_text(machine: Machine) -> str:
         "pump": asdict(machine.pump),
         "driven_velocity": machine.driven_velocity,
         "dynamics": {"coriolis": machine.coriolis, "slewing_inertia": machine.slewing_inertia},
+        "simulation": _circuit(machine, origin),
         "gravity": machine.gravity,
     }
     keys = _validated(MachineKeys, data, f"machine {machine.name}")
@@ -96,6 +99,16 @@ def _cylinder(cylinder: Cylinder, origin: dict[str, Provenance]) -> dict[str, An
     linkage = {"type": _linkage_type(cylinder.linkage), **asdict(cylinder.linkage)}
     values |= {"linkage": linkage, "connection": cylinder.connection.value}
     return _size(cylinder, origin) | values
+
+
+def _circuit(machine: Machine, origin: dict[str, Provenance]) -> dict[str, Any]:
+    """What was given for the simulation, or changed since."""
+    defaults = asdict(Circuit() if isinstance(machine.valve, MobileValve) else METERING)
+    return {
+        name: value
+        for name, value in asdict(machine.circuit).items()
+        if value != defaults[name] or f"simulation.{name}" in origin
+    }
 
 
 def _linkage_type(linkage: Linkage) -> str:
