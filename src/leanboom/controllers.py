@@ -215,7 +215,7 @@ def resting(plant: Plant, load: np.ndarray) -> np.ndarray:
     return state
 
 
-def rig(crane: Crane, load: np.ndarray, mass: float) -> Callable[[list, list], plants.Motion]:
+def rig(crane: Crane, load: np.ndarray, mass: float) -> Callable[[list, list], plants.Mechanism]:
     """Bodies of a test rig: every cylinder pushes a mass against a constant load, its piston near mid-travel.
 
     Args:
@@ -230,7 +230,7 @@ def rig(crane: Crane, load: np.ndarray, mass: float) -> Callable[[list, list], p
 
     machine = crane.machine
 
-    def body(q: list, v: list) -> plants.Motion:
+    def body(q: list, v: list) -> plants.Mechanism:
         travel = [
             plants.retracted(c, joint.lower, joint.upper)[1]
             for c, joint in zip(machine.cylinders, machine.joints, strict=True)
@@ -240,7 +240,7 @@ def rig(crane: Crane, load: np.ndarray, mass: float) -> Callable[[list, list], p
             dynamics.friction(speed, c.friction.coulomb, c.friction.sharpness, c.friction.viscous)
             for speed, c in zip(v, machine.cylinders, strict=True)
         )
-        return plants.Motion(
+        return plants.Mechanism(
             middle, tuple(v), friction, lambda forces: [(f - w) / mass for f, w in zip(forces, load, strict=True)]
         )
 

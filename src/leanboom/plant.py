@@ -114,7 +114,7 @@ OBSERVED = ("force", "friction", "end", "pump_flow", "wanted", "sense", "starved
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class Mechanism:
     """What turns forces into accelerations: a crane, or a test rig."""
 
     position: tuple[Value, ...]  # of the pistons, beyond retracted [m]
@@ -146,18 +146,18 @@ def of(crane: Crane) -> Plant:
         crane: The crane.
     """
 
-    def body(q: list, v: list) -> Motion:
+    def body(q: list, v: list) -> Mechanism:
         return _crane_motion(crane, q, v)
 
     return assemble(crane, body)
 
 
-def assemble(crane: Crane, body: Callable[[list, list], Motion]) -> Plant:
+def assemble(crane: Crane, body: Callable[[list, list], Mechanism]) -> Plant:
     """A plant of a crane's cylinders, valves and pump on bodies that move as given.
 
     Args:
         crane: The crane.
-        body: Joints and joint velocities, as lists of symbols, to their `Motion`.
+        body: Joints and joint velocities, as lists of symbols, to their `Mechanism`.
     """
     import casadi as ca
 
@@ -187,7 +187,7 @@ def assemble(crane: Crane, body: Callable[[list, list], Motion]) -> Plant:
     )
 
 
-def _crane_motion(crane: Crane, q: list, v: list) -> Motion:
+def _crane_motion(crane: Crane, q: list, v: list) -> Mechanism:
     """Bodies and linkages of a crane."""
     machine, boom = crane.machine, q[-3:]
     rate = list(v) if machine.geometry.slewing else [0.0, *v]
@@ -219,7 +219,7 @@ def _crane_motion(crane: Crane, q: list, v: list) -> Motion:
         turning, change = cranes.slewing(crane, tuple(boom), tuple(rate[1:]))
         return [(torque[0] - change * rate[0]) / turning, *solution]
 
-    return Motion(tuple(position), tuple(velocity), tuple(friction), accelerate)
+    return Mechanism(tuple(position), tuple(velocity), tuple(friction), accelerate)
 
 
 def _statics(crane: Crane, q: list) -> tuple[list, list]:
@@ -262,7 +262,7 @@ class _Hydraulics:
     starved: list  # by how much a compensator's drop is short of what is open to the supply [Pa]
 
 
-def _hydraulics(machine: Machine, moving: Motion, a: list, b: list, supply: Value, u: list) -> _Hydraulics:
+def _hydraulics(machine: Machine, moving: Mechanism, a: list, b: list, supply: Value, u: list) -> _Hydraulics:
     circuit, pump = machine.circuit, machine.pump
     bulk = circuit.bulk_modulus
     force, end, rate_a, rate_b, sense, starved = [], [], [], [], [], []
