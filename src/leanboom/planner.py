@@ -237,21 +237,25 @@ class _Run:
             del coarse
             self.tubes(problem, seed, start, width, spread, range(BASIN_LEVELS))
         assert self.best is not None
-        free = start is None
+        free, loads = start is None, self.cost in ("ls", "actuator")
         # Polish, then look around what it found: it has moved on from where its seed's modes came from.
         self.polish(problem, self.best, free, rounds=1)
+        other = self.baseline(float(self.best.motion.position[0]) if start is None else start)
+        rides = self.rides_on_a_limit(problem)
+        if other is not None and (loads or rides):
+            self.polish(problem, other, free)  # at times from a better valley, or along a moving limit
         polished = self.best
         # Without loads there are no modes, so one tube tells whether there is anything to find.
-        last = TUBE_LEVELS if self.cost in ("ls", "actuator") else BASIN_LEVELS + 1
+        last = TUBE_LEVELS if loads else BASIN_LEVELS + 1
         self.tubes(problem, polished, start, width, spread, range(BASIN_LEVELS, last))
         if self.best is not polished:
             self.polish(problem, self.best, free)
-        if self.rides_on_a_limit(problem):
-            other = self.baseline(float(self.best.motion.position[0]) if free else start)
-            if other is not None:
-                self.polish(problem, other, free, rounds=1)  # grids do not follow a moving limit well: one more seed
+        if rides or self.rides_on_a_limit(problem):
             self.finer_stages(start, width, spread)
-        self.fall_back(problem, float(self.best.motion.position[0]) if start is None else start)
+        if other is not None and beats(other, self.best, self.cost):
+            self.best = other
+            self.note(f"the pseudo-inverse is better: {judged_cost(other, self.cost):.4g}; refining from it")
+            self.polish(problem, other, False)
         return self.best
 
     def rides_on_a_limit(self, problem: Problem) -> bool:
@@ -358,16 +362,6 @@ class _Run:
         self.polish(problem, seed, start is None)
         assert self.best is not None
         return self.best
-
-    def fall_back(self, problem: Problem, start: float) -> None:
-        """Never worse than the pseudo-inverse: refine from it where it beats the dynamic program."""
-        other = self.baseline(start)
-        assert self.best is not None
-        if other is None or not beats(other, self.best, self.cost):
-            return
-        self.best = other
-        self.note(f"the pseudo-inverse is better: {judged_cost(other, self.cost):.4g}; refining from it")
-        self.polish(problem, other, False)
 
     def baseline(self, start: float) -> Evaluation | None:
         """The actuator pseudo-inverse from a start [m], judged; None where it cannot follow the path."""
