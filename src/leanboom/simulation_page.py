@@ -139,12 +139,13 @@ def _cards(run: Simulation) -> str:
         f"{name} {1e3 * error:.1f} {'mm' if name == 'extension' else 'mrad'}"
         for name, error in zip(run.task.machine.names, run.joint_error, strict=True)
     )
+    turning = run.joint_error[:-1]  # the extension slides: it is named among the others
     cards = [
         ("Energy, simulated", f"{run.energy / 1e3:.2f} kJ", "supply pressure times flow", " first"),
         ("Energy, planned", f"{run.planned_energy / 1e3:.2f} kJ", "", ""),
         ("Path accuracy", f"{1e3 * run.path_accuracy:.0f} mm", "largest, by ISO 9283", ""),
-        ("Largest joint errors", f"{1e3 * run.joint_error.max():.1f}", errors, ""),
-        ("Energy balance", f"{100 * run.balance_error:.4f} %", "not found again", ""),
+        ("Largest angle error", f"{1e3 * turning.max():.1f} mrad", errors, ""),
+        ("Energy balance", f"{1e6 * run.balance_error:.1f} ppm", "of the pump's energy not found again", ""),
         ("Speed", f"{run.realtime_factor:.0f} x", f"real time, {run.wall_s:.2f} s", ""),
     ]
     return "".join(
