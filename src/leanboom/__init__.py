@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from leanboom.certificate import Certificate, certify
     from leanboom.comparison import Comparison, compare
     from leanboom.errors import InfeasibleError, InputError, LeanboomError
     from leanboom.files import bundled_machines, bundled_tasks, load_machine, load_task
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
+    "Certificate": "certificate", "certify": "certificate",
     "Comparison": "comparison", "compare": "comparison",
     "Evaluation": "judge", "InfeasibleError": "errors", "InputError": "errors", "LeanboomError": "errors",
     "Machine": "machine", "Motion": "motion", "Plan": "planner", "Task": "task", "bundled_machines": "files",
@@ -32,6 +34,7 @@ _HOME = {
 }  # fmt: skip
 
 __all__ = [
+    "Certificate",
     "Comparison",
     "Evaluation",
     "InfeasibleError",
@@ -43,6 +46,7 @@ __all__ = [
     "Task",
     "bundled_machines",
     "bundled_tasks",
+    "certify",
     "compare",
     "evaluate",
     "load_machine",

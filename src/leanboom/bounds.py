@@ -23,10 +23,36 @@ from numba import njit
 
 from leanboom.formula import enable_in_kernels
 from leanboom.kernels import (
-    A0, A1, A_MAX, AREA_IN, AREA_OUT, B0, B1, B2, B3, BACK_IN, BACK_OUT, COEFFICIENTS, COST, COULOMB, EFFICIENCY,
-    EPSILON, F0, F1, F2, F3, FIXED_FLOW, FIXED_PRESSURE, GAIN_IN, GAIN_OUT, LS, MARGIN, SHARPNESS, STEP, SUPPLY_CP,
-    V_MAX, VISCOUS,
-)  # fmt: skip
+    A0,
+    A1,
+    A_MAX,
+    AREA_IN,
+    AREA_OUT,
+    B0,
+    B1,
+    B2,
+    B3,
+    BACK_IN,
+    BACK_OUT,
+    COEFFICIENTS,
+    COST,
+    COULOMB,
+    EFFICIENCY,
+    EPSILON,
+    F0,
+    F1,
+    F2,
+    F3,
+    GAIN_IN,
+    GAIN_OUT,
+    LS,
+    MARGIN,
+    SHARPNESS,
+    STEP,
+    SUPPLY_CP,
+    V_MAX,
+    VISCOUS,
+)
 
 enable_in_kernels()
 
@@ -207,7 +233,10 @@ def cell_flow(motion, cylinder, half, flow, sigma):
         else:
             area = out if side > 0.0 else -back
             largest = abs(area)
-        if not area * motion[m, V_M] + largest * (abs(motion[m, V_X]) * half + abs(motion[m, V_T])) > largest * motion[m, V_E]:
+        if (
+            not area * motion[m, V_M] + largest * (abs(motion[m, V_X]) * half + abs(motion[m, V_T]))
+            > largest * motion[m, V_E]
+        ):
             motion[m, V_SIDE] = 1.0
             continue  # bounds too wide to say more than that flow is not negative
         f0 -= largest * motion[m, V_E]

@@ -54,7 +54,9 @@ class Bounds:
     """Planes and floors below the cost to go over cells, and what they say of the start."""
 
     cells: Cells
-    planes: tuple[np.ndarray, ...]  # level [J], slopes [J/m], [J s/m], floor [J]: (rows, columns, 4) a stage and the end
+    planes: tuple[
+        np.ndarray, ...
+    ]  # level [J], slopes [J/m], [J s/m], floor [J]: (rows, columns, 4) a stage and the end
     start: np.ndarray  # least cost to go from the start through each cell of stage 0 [J], (rows, columns)
 
     @property
@@ -165,9 +167,7 @@ def bound(cells: Cells, start: float | None, check: Callable[[float], None]) -> 
                 bent = np.isfinite(level) & ~(middle - level <= BENT * rise)
             if bent.any():
                 flat = np.full(active.shape, np.inf)
-                pool.run(
-                    bounds.PLANE, k, 0.0, np.where(bent, 0.0, np.inf), np.zeros_like(here), planes[k + 1], [flat]
-                )
+                pool.run(bounds.PLANE, k, 0.0, np.where(bent, 0.0, np.inf), np.zeros_like(here), planes[k + 1], [flat])
                 here[..., 3] = np.where(bent, np.maximum(flat, 0.0), 0.0)
                 better = bent & (flat > level)
                 here[better, 1:3] = 0.0
@@ -178,23 +178,36 @@ def bound(cells: Cells, start: float | None, check: Callable[[float], None]) -> 
 
 
 def slopes(values: np.ndarray, axis: int) -> np.ndarray:
-    """Rise of values from cell to cell along an axis: van Leer's mean of both sides, 0 at an extreme.
+    """Rise of values from cell to cell along an axis, 0 at an extreme.
 
-    Values are smoothed along the axis first. Any slope gives a valid plane; this choice makes planes that lie close.
+    Any slope gives a valid plane; these make planes that lie close. Along position, where values bend little and
+    their differences are noisy: van Leer's mean of both sides of smoothed values. Along velocity, across the jumps
+    where a cylinder begins to count as driven: the smaller side.
+
+    Args:
+        values: Least cost to go from the cells' middles [J], inf where there is none, (rows, columns).
+        axis: 0 for position, 1 for velocity.
+
+    Returns:
+        Rise per cell [J], (rows, columns).
     """
     f = np.swapaxes(np.where(np.isfinite(values), values, np.nan), 0, axis)
     if f.shape[0] < 2:
         return np.zeros_like(values)
-    smooth = f.copy()
-    mean = 0.25 * f[:-2] + 0.5 * f[1:-1] + 0.25 * f[2:]
-    smooth[1:-1] = np.where(np.isfinite(mean), mean, f[1:-1])
-    step = np.diff(smooth, axis=0)
+    if axis == 0:
+        mean = 0.25 * f[:-2] + 0.5 * f[1:-1] + 0.25 * f[2:]
+        f = np.concatenate([f[:1], np.where(np.isfinite(mean), mean, f[1:-1]), f[-1:]])
+    step = np.diff(f, axis=0)
     edge = np.full((1, f.shape[1]), np.nan)
     left, right = np.concatenate([edge, step]), np.concatenate([step, edge])
     left, right = np.where(np.isnan(left), right, left), np.where(np.isnan(right), left, right)
     with np.errstate(all="ignore"):
-        mean = np.where(left * right > 0.0, 2.0 * left * right / (left + right), 0.0)
-    return np.swapaxes(np.where(np.isfinite(mean), mean, 0.0), 0, axis)
+        if axis == 0:
+            rise = 2.0 * left * right / (left + right)
+        else:
+            rise = np.where(np.abs(left) < np.abs(right), left, right)
+        rise = np.where(left * right > 0.0, rise, 0.0)
+    return np.swapaxes(rise, 0, axis)
 
 
 def _at_start(cells: Cells, planes: np.ndarray, start: float | None) -> np.ndarray:

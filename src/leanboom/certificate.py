@@ -61,6 +61,15 @@ class Certificate:
         """How much less the best possible motion may take, in percent of the best known one's energy."""
         return _gap(self.energy_j, self.lower_bound_j)
 
+    def json(self) -> dict[str, float | None]:
+        """What `--json` adds: the bound beside the best motion's energy in the same discretisation."""
+        return {
+            "discretised_energy_j": self.energy_j,
+            "lower_bound_j": self.lower_bound_j,
+            "gap_percent": self.gap_percent,
+            "certify_s": self.certify_s,
+        }
+
     def __repr__(self) -> str:
         return (
             f"Certificate({self.task.name}, {self.pump}: at least {self.lower_bound_j:.6g} J, best known "
@@ -97,7 +106,9 @@ def certify(
         InfeasibleError: If it is proven that no motion keeps all limits, or none was found to compare with.
     """
     tell = progress or (lambda text, share: None)
-    _check(task, pump, step, seconds, gap)
+    check(pump, step, seconds, gap)
+    if not isinstance(task.machine.pump.efficiency, float | int):
+        raise InputError("pump.efficiency is a map; a certificate needs a constant efficiency")
     if motion is None:
         plan = planner.run(task, pump=pump, step=step, baseline=False, progress=progress)
         if not plan.evaluation.feasible:
@@ -128,7 +139,8 @@ def certify(
     )  # fmt: skip
 
 
-def _check(task: Task, pump: str, step: float, seconds: float, gap: float) -> None:
+def check(pump: str, step: float, seconds: float, gap: float) -> None:
+    """Raise InputError for arguments of `certify` that cannot be used, all problems at once."""
     problems = []
     if pump not in PUMPS:
         problems.append(f"pump = {pump}; must be one of {', '.join(PUMPS)}")
@@ -138,8 +150,6 @@ def _check(task: Task, pump: str, step: float, seconds: float, gap: float) -> No
         problems.append(f"seconds = {seconds:g} s; must be above 0")
     if not 0.0 <= gap < 100.0:
         problems.append(f"gap = {gap:g} %; must be from 0 to below 100")
-    if not isinstance(task.machine.pump.efficiency, float | int):
-        problems.append("pump efficiency is a map; a certificate needs a constant efficiency")
     if problems:
         raise InputError("; ".join(problems))
 
@@ -155,9 +165,9 @@ def _bound(
     kept: cells.Cells | None = cells.whole(problem, pump)
     while kept is not None:
         name = f"cells {kept.positions}x{kept.velocities}, gap so far {_gap(best.energy, lower):.2f} %"
-        check = _clock(began, seconds, name, tell)
+        clock = _clock(began, seconds, name, tell)
         try:
-            found = cells.bound(kept, start, check)
+            found = cells.bound(kept, start, clock)
             if not np.isfinite(found.lower) and not levels:
                 raise InfeasibleError("proven: no motion of the discretised problem keeps every limit")
             _check_along(found, best)
@@ -167,7 +177,7 @@ def _bound(
             levels.append(Level(kept.positions, kept.velocities, kept.count, lower, _gap(best.energy, lower), gone))
             if levels[-1].gap_percent <= gap:
                 return tuple(levels), "gap reached"
-            excess = cells.reach(found, best.energy * (1.0 + ROUNDING), check)
+            excess = cells.reach(found, best.energy * (1.0 + ROUNDING), clock)
             if cells.memory(kept, excess) > 0.5 * dp.free_memory():
                 return tuple(levels), "smaller cells would not fit into the memory"
             kept = cells.refine(kept, excess)
@@ -182,13 +192,13 @@ def _bound(
 
 
 def _clock(began: float, seconds: float, name: str, tell: Progress) -> Callable[[float], None]:
-    def check(share: float) -> None:
+    def clock(share: float) -> None:
         gone = time.perf_counter() - began
         if gone > seconds:
             raise cells.OutOfTime
         tell(name, min(0.99, 0.05 + 0.94 * gone / seconds))
 
-    return check
+    return clock
 
 
 def _check_along(found: cells.Bounds, best: Measured) -> None:

@@ -111,9 +111,7 @@ def _multiply(x: Any, y: Any) -> Enclosure:
         return Enclosure(x.p0 * y, x.p1 * y, x.p2 * y, x.error * np.abs(y))
     rest = np.abs(x.p1 * y.p2 + x.p2 * y.p1) + np.abs(x.p2 * y.p2)
     rest = rest + x.error * (np.abs(y.p0) + y.reach) + y.error * (np.abs(x.p0) + x.reach - x.error)
-    return Enclosure(
-        x.p0 * y.p0, x.p0 * y.p1 + x.p1 * y.p0, x.p0 * y.p2 + x.p1 * y.p1 + x.p2 * y.p0, rest
-    )
+    return Enclosure(x.p0 * y.p0, x.p0 * y.p1 + x.p1 * y.p0, x.p0 * y.p2 + x.p1 * y.p1 + x.p2 * y.p0, rest)
 
 
 def _compose(x: Enclosure, g0: np.ndarray, g1: np.ndarray, g2: np.ndarray, third: np.ndarray) -> Enclosure:

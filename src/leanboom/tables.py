@@ -18,6 +18,7 @@ from leanboom.source import shortened
 from leanboom.task import Spline
 
 if TYPE_CHECKING:
+    from leanboom.certificate import Certificate
     from leanboom.comparison import Comparison, Row
     from leanboom.experiments import Line
     from leanboom.judge import Evaluation
@@ -83,6 +84,27 @@ def plan(console: Console, result: Plan, out: Path | None, source: str) -> None:
         _say(console, f"{'Report':<22}{shortened(str(out / 'report.html'), 400)}")
     console.print()
     _say(console, f"{inspection.assumed(task.machine)} (leanboom check {shlex.quote(source)}).")
+
+
+def certificate(console: Console, proof: Certificate) -> None:
+    """What is proven of a task's energy, level by level.
+
+    Args:
+        console: Where to print.
+        proof: The certificate.
+    """
+    console.print()
+    _say(console, f"{shortened(proof.task.name, 80)}: what is proven for the {PUMPS[proof.pump]}", "bold")
+    table = _table("Cells", "looked at", "at least\nkJ", "gap\n%", "after\ns", numbers=4)
+    for level in proof.levels:
+        _row(
+            table, f"{level.positions} x {level.velocities}", f"{level.cells}", f"{level.lower_bound_j / 1e3:.3f}",
+            f"{level.gap_percent:.2f}", f"{level.seconds:.1f}",
+        )  # fmt: skip
+    console.print(table)
+    _say(console, f"{'Best known motion':<22}{proof.energy_j / 1e3:.3f} kJ over stages of {proof.step:g} s")
+    _say(console, f"{'No motion below':<22}{proof.lower_bound_j / 1e3:.3f} kJ")
+    _say(console, f"{'Gap':<22}{proof.gap_percent:.2f} % ({proof.reason} after {proof.certify_s:.1f} s)")
 
 
 def _energies(console: Console, result: Plan) -> None:
