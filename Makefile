@@ -52,6 +52,7 @@ lint: $(READY) ## Check format, style, types and layers
 
 bench: $(READY) ## Measure time, memory and energy
 	@$(BIN)/python -m benchmarks.run
+	@$(BIN)/python -m benchmarks.speed
 
 lock: $(READY) ## Renew requirements.lock (needs uv)
 	@uv --quiet pip compile pyproject.toml --group tests --group dev --universal --fork-strategy fewest \

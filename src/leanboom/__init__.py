@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from leanboom.machine import Machine
     from leanboom.motion import Motion
     from leanboom.planner import Plan, plan, run
+    from leanboom.simulation import Simulation, simulate
     from leanboom.task import Task
 
 __version__ = "0.1.0"
@@ -28,9 +29,9 @@ _HOME = {
     "Certificate": "certificate", "certify": "certificate",
     "Comparison": "comparison", "compare": "comparison",
     "Evaluation": "judge", "InfeasibleError": "errors", "InputError": "errors", "LeanboomError": "errors",
-    "Machine": "machine", "Motion": "motion", "Plan": "planner", "Task": "task", "bundled_machines": "files",
-    "bundled_tasks": "files", "evaluate": "judge", "load_machine": "files", "load_task": "files",
-    "plan": "planner", "run": "planner",
+    "Machine": "machine", "Motion": "motion", "Plan": "planner", "Simulation": "simulation", "Task": "task",
+    "bundled_machines": "files", "bundled_tasks": "files", "evaluate": "judge", "load_machine": "files",
+    "load_task": "files", "plan": "planner", "run": "planner", "simulate": "simulation",
 }  # fmt: skip
 
 __all__ = [
@@ -43,6 +44,7 @@ __all__ = [
     "Machine",
     "Motion",
     "Plan",
+    "Simulation",
     "Task",
     "bundled_machines",
     "bundled_tasks",
@@ -53,6 +55,7 @@ __all__ = [
     "load_task",
     "plan",
     "run",
+    "simulate",
 ]
 
 

@@ -1,4 +1,4 @@
-"""The command line: `leanboom plan`, `certify`, `compare`, `reproduce`, `check`, `machines`, `tasks`.
+"""The command line: `leanboom plan`, `certify`, `simulate`, `compare`, `reproduce`, `check`, `machines`, `tasks`.
 
 Results go to standard output, for people as tables and with `--json` as one object and nothing else; progress and
 problems go to standard error. Exit codes: 0 done, 1 no feasible motion, 2 bad input, 130 interrupted. Whatever a
@@ -143,7 +143,9 @@ def plan(
         source = asked.machine.name if task in files.bundled_tasks() else task
         tables.plan(tables.output(), result, out, source)
         if proof is not None:
-            tables.certificate(tables.output(), proof)
+            from leanboom import proofs
+
+            proofs.certificate(tables.output(), proof)
     if not result.evaluation.feasible:
         _complain(result.evaluation.status)
         raise typer.Exit(1)
@@ -185,9 +187,62 @@ def certify(
     if as_json:
         _print_json(runfolder.summary(result) | proof.json())
     else:
+        from leanboom import proofs, tables
+
+        proofs.certificate(tables.output(), proof)
+
+
+@app.command()
+def simulate(
+    task: Annotated[
+        str, typer.Argument(metavar="TASK|RUN", help="A bundled task, a task file, or the run folder of a plan.")
+    ],
+    pump: Annotated[
+        str | None, typer.Option(help="ls or cp. By default that of the run folder; of a task, ls.")
+    ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="How a task is planned first: a method of `leanboom plan`; by default dp."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Write a run folder with the simulation. By default a RUN gets it added."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Drive a plan in closed loop: pump, valves, oil and controller."""
+    from leanboom import files, planner, runfolder, simulation, simulation_page
+
+    if pump not in (None, *simulation.PUMPS):
+        raise InputError(f"pump = {pump}; must be one of {', '.join(simulation.PUMPS)}")
+    run = Path(task) if task not in files.bundled_tasks() and Path(task).is_dir() else None
+    if run is not None and method is not None:
+        raise InputError(f"method = {method}; the run folder {task} is planned already: leave --method out")
+    if out is not None:
+        runfolder.check(out)
+    with _Progress() as tell:
+        if run is None:
+            asked = files.load_task(task)
+            plan = planner.run(asked, pump=pump or "ls", method=method or "dp", progress=tell)
+            result = simulation.simulate(asked, plan.motion, plan.pump, progress=tell)
+            if out is not None:
+                tell("writing the run folder", 1.0)
+                runfolder.write(plan, out, simulation=result)
+        else:
+            asked, motion, planned_for = runfolder.read(run)
+            result = simulation.simulate(asked, motion, pump or planned_for, progress=tell)
+            out = out or run
+            tell("writing the run folder", 1.0)
+            runfolder.add(run, out, result)
+    if as_json:
+        _print_json(simulation_page.summary(result, out))
+    else:
         from leanboom import tables
 
-        tables.certificate(tables.output(), proof)
+        tables.simulation(tables.output(), result, out)
+    if not result.complete:
+        _complain(result.status)
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -211,6 +266,9 @@ def compare(
             "takes minutes.",
         ),
     ] = None,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="Also drive every motion in closed loop, for a column of its own.")
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Write the rows, a bar chart and the motions laid over each other."),
@@ -228,7 +286,7 @@ def compare(
     asked = files.load_task(task)
     starts = None if start is None else [files.load_task(task, start=each).start for each in _listed(start)]
     with _Progress(steps=True) as tell:
-        result = comparison.compare(asked, pumps, start=starts, methods=chosen, progress=tell)
+        result = comparison.compare(asked, pumps, start=starts, methods=chosen, simulate=simulate, progress=tell)
         if out is not None:
             tell("drawing", 1.0)
             results.write_comparison(result, out)
@@ -249,7 +307,8 @@ def reproduce(
         list[str] | None,
         typer.Argument(
             metavar="[NAME...]",
-            help="all, or some of table2, table3, fig8, fig10, sizing, horizontal, vertical, half-cycle, sensitivity.",
+            help="all, or some of table2, table3, fig8, fig10, sizing, horizontal, vertical, half-cycle, tracking, "
+            "sensitivity.",
         ),
     ] = None,
     out: Annotated[

@@ -11,7 +11,7 @@ so that the planned samples and the continuous motion agree. Bellman's equation 
 
 is solved on grids that fit each stage: positions span exactly its feasible extensions, so limits lie on nodes.
 J_{k+1} is interpolated bilinearly. Controls are not gridded: along u the right-hand side is (nearly) piecewise
-linear and only its corners are tried (see `kernels.best_control`).
+linear and only its corners are tried (see `kernels.best_controls`).
 
 Limits are exact slopes, not constants: violating a velocity or acceleration limit costs in proportion to its
 size, `SLOPES` times the task's energy scale, steep enough that a feasible motion is preferred and flat enough that
@@ -32,6 +32,7 @@ from leanboom import crane as cranes
 from leanboom import hydraulics, kernels, motion, stages
 from leanboom.errors import InputError
 from leanboom.motion import Motion
+from leanboom.shaft import shaft_of
 from leanboom.stages import Grid, Problem, Tables
 
 # Penalty slopes relative to the energy scale: per stroke range [m], per velocity limit (state, cylinders), per
@@ -77,7 +78,9 @@ def energy_scale(problem: Problem, cost: str) -> float:
         return float(np.mean(work + 0.05 * crane.machine.pump.constant_pressure * flow) * duration)
     # Recuperation pays back as well as it takes: its gains reach well beyond its total.
     spread = 10.0 if cost == "recuperation" else 1.0
-    return float(spread * np.mean(crane.machine.pump.constant_pressure * flow) * duration)
+    pressure, shaft = crane.machine.pump.constant_pressure, shaft_of(crane.machine.pump)
+    power = pressure * flow + hydraulics.pump_losses(pressure, flow, shaft.idle, shaft.leak, shaft.drag)
+    return float(spread * np.mean(power) * duration)
 
 
 def slopes(problem: Problem, cost: str) -> tuple[float, float, float, float]:

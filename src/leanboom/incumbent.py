@@ -15,6 +15,7 @@ from leanboom import crane as cranes
 from leanboom import dp, hydraulics, motion, stages
 from leanboom.judge import PATH_TOLERANCE, TOLERANCE
 from leanboom.motion import Motion
+from leanboom.shaft import shaft_of
 from leanboom.stages import Problem
 
 TUBE = (41, 33)  # nodes of a tube
@@ -74,7 +75,7 @@ def measure(problem: Problem, candidate: Motion, pump: str) -> Measured:
         used = max(used, np.max(np.abs(v)) / cylinder.velocity_limit / TOLERANCE)
         used = max(used, np.max(np.abs(moving.acceleration[i])) / cylinder.acceleration_limit / TOLERANCE)
     supply = pressure + machine.pump.ls_margin if pump == "ls" else machine.pump.constant_pressure
-    return Measured(candidate, problem.step * hydraulics.pump_power(supply, flow, machine.pump.efficiency), used <= 1.0)
+    return Measured(candidate, problem.step * hydraulics.pump_power(supply, flow, *shaft_of(machine.pump)), used <= 1.0)
 
 
 def improve(problem: Problem, seed: Measured, pump: str, free: bool) -> Measured:

@@ -12,6 +12,7 @@ import resource
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +23,9 @@ from leanboom.motion import Motion
 from leanboom.objective import COSTS
 from leanboom.stages import Problem
 from leanboom.task import Lines, Spline, Task
+
+if TYPE_CHECKING:
+    from leanboom.polish import Modes, Polisher  # CasADi is slow to import: when it is needed
 
 METHODS = {
     "dp": "dynamic programming over all extensions, refined in tubes and polished",
@@ -37,13 +41,13 @@ METHODS = {
 PUMPS = ("ls", "cp")
 
 # Tubes: nodes, and half widths relative to the coarse grid's spacing; halved each level.
-TUBE = (41, 33)
+TUBE = (31, 33)
 TUBE_WIDTH, TUBE_SPREAD = 6.0, 6.0
-TUBE_LEVELS, BASIN_LEVELS = 6, 2  # the best basin is chosen after BASIN_LEVELS
-LOOK_AGAIN = 2  # level of the tubes around the polished motion
+TUBE_LEVELS, BASIN_LEVELS = 5, 2  # the best basin is chosen after BASIN_LEVELS
 REPEAT, TUBE_REPEATS = 1e-2, 4  # a tube is repeated while the judged cost falls by more than this share
 MOVING, TOUCHING = 1e-3, 1e-4  # a limit that moves [m/s], and a motion on it [m]
 FINER = 5e-4  # stages are halved while that gains more than this share
+REPAIRABLE, ROOM = 1.05, 0.9995  # limits used up to this much too far are polished again, to below this share
 SETTLED = 1e-4  # polishing ends when it gains less than this share
 
 Progress = Callable[[str, float], None]
@@ -176,7 +180,7 @@ class _Run:
         self.log: list[str] = []
         self.began = began
         self.best: Evaluation | None = None
-        self.polisher = None
+        self.polisher: Polisher | None = None
 
     def by(self, method: str) -> Evaluation:
         """The best judged motion of a method."""
@@ -233,14 +237,20 @@ class _Run:
             del coarse
             self.tubes(problem, seed, start, width, spread, range(BASIN_LEVELS))
         assert self.best is not None
-        self.tubes(problem, self.best, start, width, spread, range(BASIN_LEVELS, LOOK_AGAIN + 2))
         free = start is None
         # Polish, then look around what it found: it has moved on from where its seed's modes came from.
-        self.polish(problem, free, rounds=1)
-        self.tubes(problem, self.best, start, width, spread, range(LOOK_AGAIN, TUBE_LEVELS))
-        self.polish(problem, free)
+        self.polish(problem, self.best, free, rounds=1)
+        polished = self.best
+        # Without loads there are no modes, so one tube tells whether there is anything to find.
+        last = TUBE_LEVELS if self.cost in ("ls", "actuator") else BASIN_LEVELS + 1
+        self.tubes(problem, polished, start, width, spread, range(BASIN_LEVELS, last))
+        if self.best is not polished:
+            self.polish(problem, self.best, free)
         if self.rides_on_a_limit(problem):
-            self.finer_stages(free)
+            other = self.baseline(float(self.best.motion.position[0]) if free else start)
+            if other is not None:
+                self.polish(problem, other, free, rounds=1)  # grids do not follow a moving limit well: one more seed
+            self.finer_stages(start, width, spread)
         self.fall_back(problem, float(self.best.motion.position[0]) if start is None else start)
         return self.best
 
@@ -254,14 +264,18 @@ class _Run:
                 return True
         return False
 
-    def finer_stages(self, free: bool) -> None:
-        """Polish on stages half and a quarter as long while it pays: along a moving limit control must be finer."""
+    def finer_stages(self, start: float | None, width: float, spread: float) -> None:
+        """Refine on stages half and a quarter as long while it pays: along a moving limit control must be finer."""
         for factor in (2, 4):
             assert self.best is not None
-            before = judged_cost(self.best, self.cost)
+            before = self.best
             self.polisher = None
-            self.polish(stages.discretise(self.task, self.step / factor), free, rounds=1)
-            if not gains(before, judged_cost(self.best, self.cost), FINER):
+            problem = stages.discretise(self.task, self.step / factor)
+            self.polish(problem, self.best, start is None, rounds=1)
+            self.tubes(problem, self.best, start, width, spread, range(BASIN_LEVELS, BASIN_LEVELS + 2))
+            self.polish(problem, self.best, start is None, rounds=1)
+            gained = gains(judged_cost(before, self.cost), judged_cost(self.best, self.cost), FINER)
+            if before.feasible and not gained:
                 break
         self.polisher = None
 
@@ -291,40 +305,46 @@ class _Run:
                 if not gains(before, judged_cost(chain, self.cost), REPEAT):
                     break
 
-    def polish(self, problem: Problem, free: bool, rounds: int = 4) -> bool:
-        """Fix the modes of the best motion, solve the smooth problem, read the modes off, repeat while it pays.
-
-        Returns:
-            Whether the judged cost fell.
-        """
+    def polish(self, problem: Problem, chain: Evaluation, free: bool, rounds: int = 4) -> None:
+        """Fix the modes of a motion, solve the smooth problem, read the modes off the answer, repeat while it pays."""
         from leanboom import polish
 
-        assert self.best is not None
-        if not np.isfinite(judged_cost(self.best, self.cost)):
-            return False  # out of reach somewhere: nothing to start from
+        if not np.isfinite(judged_cost(chain, self.cost)):
+            return  # out of reach somewhere: nothing to start from
         self.tell("polish", 0.75)
-        if self.polisher is None:
-            self.polisher = polish.build(problem, self.cost)
-        gained, done = False, None
-        if not self.polisher.layout.loads:
+        polisher = self.polisher = self.polisher or polish.build(problem, self.cost)
+        done = None
+        if not polisher.layout.loads:
             rounds = 1  # no modes, no second round
         for _ in range(rounds):
-            assert self.best is not None
-            before = judged_cost(self.best, self.cost)
-            seed = _on_stages(self.best.motion, problem)
-            switches = polish.modes(self.polisher, seed)
+            before = judged_cost(chain, self.cost)
+            seed = _on_stages(chain.motion, problem)
+            switches = polish.modes(polisher, seed)
             if done is not None and switches.same_as(done):
                 break
-            answer, text = polish.solve(self.polisher, seed, switches, free)
+            answer, text = polish.solve(polisher, seed, switches, free)
             done = switches
             if answer is None:
                 self.note(f"polish: {text}")
                 break
-            self.judge(answer, f"polish ({text})")
-            if not gains(before, judged_cost(self.best, self.cost), SETTLED):
+            judged = self.judge(answer, f"polish ({text})")
+            if not judged.feasible and judged.limit_use.worst < REPAIRABLE:
+                judged = self.repair(polisher, judged, switches, free)
+            if beats(judged, chain, self.cost):
+                chain = judged
+            if not gains(before, judged_cost(chain, self.cost), SETTLED):
                 break
-            gained = True
-        return gained
+
+    def repair(self, polisher: Polisher, judged: Evaluation, switches: Modes, free: bool) -> Evaluation:
+        """Polish again with room for what a polished motion broke between the ends of its intervals."""
+        from leanboom import polish
+
+        use = judged.limit_use
+        share = min(1.0, ROOM / use.velocity), min(1.0, ROOM / use.acceleration)
+        answer, text = polish.solve(polisher, judged.motion, switches, free, share)
+        if answer is None:
+            return judged
+        return self.judge(answer, f"polish with room between stages ({text})")
 
     def polish_alone(self) -> Evaluation:
         """The polish from the pseudo-inverse: nonlinear programming without the dynamic program."""
@@ -334,8 +354,8 @@ class _Run:
         start = dp.start_position(problem, self.task.start)
         first = dp.start_position(problem, "middle") if start is None else start
         assert first is not None
-        self.judge(pseudo_inverse.resolve(self.task, first, "actuator"), "pseudo-inverse")
-        self.polish(problem, start is None)
+        seed = self.judge(pseudo_inverse.resolve(self.task, first, "actuator"), "pseudo-inverse")
+        self.polish(problem, seed, start is None)
         assert self.best is not None
         return self.best
 
@@ -347,7 +367,7 @@ class _Run:
             return
         self.best = other
         self.note(f"the pseudo-inverse is better: {judged_cost(other, self.cost):.4g}; refining from it")
-        self.polish(problem, False)
+        self.polish(problem, other, False)
 
     def baseline(self, start: float) -> Evaluation | None:
         """The actuator pseudo-inverse from a start [m], judged; None where it cannot follow the path."""

@@ -28,9 +28,11 @@ import numpy as np
 from leanboom import crane as cranes
 from leanboom import hydraulics, motion
 from leanboom.motion import Motion
+from leanboom.shaft import shaft_of
 from leanboom.stages import HELD, Problem, prescribed, threads
 
 LITRE, MEGA = 1e3, 1e-6  # flow in l/s, pressure in MPa: their product is kW
+WORTH_SHARING = 500  # instructions of a stage's function that make another thread worth while
 FORCE = 1e-5  # scale of the rows that keep a load's sign [1/N]
 REFERENCE = 7  # parameters of a node: r, z, vr, vz, ar, az, prescribed flow
 OPTIONS = {
@@ -155,7 +157,7 @@ def _end_rows(ca, problem: Problem, layout: Layout, x, state, pressure, flow, mo
     if layout.flows:
         flow = flow + ca.sum1(x[layout.flow])
         supply = pressure + machine.pump.ls_margin * MEGA if layout.pressures else machine.pump.constant_pressure * MEGA
-        rate = hydraulics.pump_power(supply, flow, machine.pump.efficiency)
+        rate = hydraulics.pump_power(supply, flow, *shaft_of(machine.pump).in_kilowatts())
     elif layout.cost == "actuator":
         rate = 1e-3 * work
     elif layout.cost == "velocity":
@@ -168,7 +170,7 @@ def _end_rows(ca, problem: Problem, layout: Layout, x, state, pressure, flow, mo
             hydraulics.recuperating_flow(v, c.piston_area, c.rod_side_area)
             for v, c in zip(speeds, cylinders, strict=True)
         )
-        rate = 1e-3 * hydraulics.pump_power(machine.pump.constant_pressure, net, machine.pump.efficiency)
+        rate = 1e-3 * hydraulics.pump_power(machine.pump.constant_pressure, net, *shaft_of(machine.pump))
     return ca.vertcat(*rows), rate
 
 
@@ -180,9 +182,13 @@ def _assemble(ca, stages, here, there, parameters, rows, cost, node_rows, theta)
     hess = ca.triu(ca.hessian(sigma * cost + ca.dot(lam, rows), both)[0])
 
     def mapped(name, arguments, values):
-        return ca.Function(name, arguments, [ca.cse(value) for value in values]).map(stages, "thread", threads())
+        function = ca.Function(name, arguments, [ca.cse(value) for value in values])
+        if function.n_instructions() < WORTH_SHARING:
+            return function.map(stages)
+        return function.map(stages, "thread", threads())
 
-    f_rows = mapped("rows", [both, parameters], [cost, rows])
+    f_cost = mapped("costs", [both, parameters], [cost])
+    f_rows = mapped("rows", [both, parameters], [rows])
     f_grad = mapped("gradients", [both, parameters], [ca.gradient(cost, both)])
     f_jac = mapped("jacobians", [both, parameters], [_nonzeros(ca, jac)])
     f_hess = mapped("hessians", [both, parameters, sigma, lam], [_nonzeros(ca, hess)])
@@ -200,9 +206,8 @@ def _assemble(ca, stages, here, there, parameters, rows, cost, node_rows, theta)
     pairs = ca.vertcat(blocks[:, :-1], blocks[:, 1:])
     per = ca.reshape(p[: count * stages], count, stages)
     last_x, last_p = blocks[:, -1], p[count * stages :]
-    costs, g = f_rows(pairs, per)
-    f = ca.sum2(costs)
-    g = ca.vertcat(ca.vec(g), l_rows(last_x, last_p))
+    f = ca.sum2(f_cost(pairs, per))
+    g = ca.vertcat(ca.vec(f_rows(pairs, per)), l_rows(last_x, last_p))
     lam_f, lam_g = ca.MX.sym("lf"), ca.MX.sym("lg", g.numel())
     lams = ca.reshape(lam_g[: m * stages], m, stages)
 
@@ -301,7 +306,9 @@ def _force(problem: Problem, seed: Motion, end: int, sign: np.ndarray) -> np.nda
     return np.stack(columns, axis=1)
 
 
-def solve(polisher: Polisher, seed: Motion, switches: Modes, free_start: bool = False) -> tuple[Motion | None, str]:
+def solve(
+    polisher: Polisher, seed: Motion, switches: Modes, free_start: bool = False, share: tuple[float, float] = (1.0, 1.0)
+) -> tuple[Motion | None, str]:
     """Solve the smooth problem for given modes from a seed.
 
     Args:
@@ -309,15 +316,17 @@ def solve(polisher: Polisher, seed: Motion, switches: Modes, free_start: bool = 
         seed: Motion on the problem's stages; gives start and first guess.
         switches: The modes.
         free_start: Whether the start may move inside its feasible interval (start kind `best`).
+        share: Parts of the cylinders' velocity and acceleration limits that may be used at the ends of the intervals;
+            less than 1 leaves room for what happens between them.
 
     Returns:
         The polished motion and IPOPT's status; no motion where IPOPT did not converge.
     """
     problem, layout = polisher.problem, polisher.layout
     stages, n = problem.stages, layout.moving
-    hardest = np.array([c.acceleration_limit for c in problem.crane.machine.cylinders[problem.moving]])
+    hardest = share[1] * np.array([c.acceleration_limit for c in problem.crane.machine.cylinders[problem.moving]])
     mode = _mode_parameters(problem, layout, switches)
-    guess, low, high = _guess_and_bounds(polisher, seed, switches, mode)
+    guess, low, high = _guess_and_bounds(polisher, seed, switches, mode, share)
     if not free_start:
         low[0, 0] = high[0, 0] = seed.position[0]
     parameters = np.concatenate(
@@ -346,7 +355,7 @@ def solve(polisher: Polisher, seed: Motion, switches: Modes, free_start: bool = 
     return motion.from_velocities(problem.step, float(x[0, 0]), x[:, 1], seed.method, layout.cost), text
 
 
-def _guess_and_bounds(polisher: Polisher, seed: Motion, switches: Modes, mode: np.ndarray):
+def _guess_and_bounds(polisher: Polisher, seed: Motion, switches: Modes, mode: np.ndarray, share: tuple[float, float]):
     """First guess and bounds of all variables, (stages + 1, size) each; modes bound speeds and pressures."""
     problem, layout = polisher.problem, polisher.layout
     machine, n = problem.crane.machine, layout.moving
@@ -357,12 +366,12 @@ def _guess_and_bounds(polisher: Polisher, seed: Motion, switches: Modes, mode: n
     guess[:, 0], guess[:, 1], guess[:-1, 2] = seed.position, seed.velocity, seed.acceleration
     guess[:, layout.speeds] = v
     low[:, 0], high[:, 0] = problem.lower, problem.upper
-    high[:-1, 2] = cylinders[-1].acceleration_limit
+    high[:-1, 2] = share[1] * cylinders[-1].acceleration_limit
     low[:, 2] = -high[:, 2]
     low[-1, 2] = high[-1, 2] = 0.0
     held = HELD * machine.driven_velocity if layout.pressures else 0.0
     for i, column in enumerate(layout.speeds):
-        high[:, column] = cylinders[i].velocity_limit
+        high[:, column] = share[0] * cylinders[i].velocity_limit
         low[:, column] = -high[:, column]
         if layout.loads:
             # A seed that rides closer to the threshold keeps its place: two held cylinders may leave no other.
