@@ -24,6 +24,7 @@ POSITIONS = 128  # cells of the first level between the smallest and the largest
 VELOCITY = 0.01  # [m/s], largest height of a cell of the first level
 UNKNOWN = 1e30  # error of a coefficient that cannot be enclosed over a cell
 SHARES = 8  # parts a thread takes of a stage: rows differ in work
+AT_REST = 1e-6  # [m/s], velocity below which a motion ends at rest
 BENT = 0.25  # a plane that loses more than this share of what it rises over its cell is tried again, level
 
 
@@ -273,10 +274,10 @@ def memory(cells: Cells, excess: tuple[np.ndarray, ...]) -> float:
 
 def value_at(found: Bounds, k: int, position: float, velocity: float) -> float:
     """Lower bound of the cost to go from a state [J]: the least of the cells it lies in; inf where there is none."""
+    if k == found.cells.problem.stages:
+        return 0.0 if abs(velocity) < AT_REST else np.inf
     c_lo, dc, w_lo, dw, first_i, first_j = found.cells.lattice[k]
     planes = found.planes[k]
-    if k == found.cells.problem.stages:
-        return 0.0
     x, y = (position - c_lo) / dc - first_i, (velocity - w_lo) / dw - first_j
     least = np.inf
     for i in {int(np.floor(x - 1e-6)), int(np.floor(x + 1e-6))}:
@@ -303,6 +304,18 @@ def residuals(found: Bounds, motion: Motion, costs: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore"):
         rest = costs + np.array(value[1:]) - np.array(value[:-1])
     return np.where(np.isfinite(rest), rest, np.inf)
+
+
+def prepare() -> None:
+    """Load the compiled kernels, compiling them on the very first run, by bounding a stage of one cell."""
+    model, one = np.zeros((1, 1, kernels.COEFFICIENTS, 4)), np.zeros((1, 1))
+    columns, lattice = np.zeros((1, 2)), np.ones(bounds.LATTICE)
+    cylinder, setting = np.ones((1, kernels.CYLINDER_COLUMNS)), np.ones(kernels.SETTINGS)
+    bounds.velocity_columns(model, cylinder, columns)
+    bounds.cells(
+        bounds.PLANE, 0, 1, model, lattice, lattice, columns, columns, np.zeros(2), cylinder, setting, 0.0, one,
+        np.zeros((1, 1, 4)), np.zeros((1, 1, 4)), one,
+    )  # fmt: skip
 
 
 class _Pool:

@@ -116,6 +116,7 @@ def certify(
         motion = plan.motion
     tell("loading kernels of the bounds (compiled on the first run ever, which takes up to a minute)", 0.0)
     dp.prepare()
+    cells.prepare()
     began = time.perf_counter()
     problem = stages.discretise(task, step)
     start = dp.start_position(problem, task.start)
