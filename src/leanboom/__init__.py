@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from leanboom.certificate import Certificate, certify
     from leanboom.comparison import Comparison, compare
     from leanboom.errors import InfeasibleError, InputError, LeanboomError
     from leanboom.files import bundled_machines, bundled_tasks, load_machine, load_task
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
+    "Certificate": "certificate", "certify": "certificate",
     "Comparison": "comparison", "compare": "comparison",
     "Evaluation": "judge", "InfeasibleError": "errors", "InputError": "errors", "LeanboomError": "errors",
     "Machine": "machine", "Motion": "motion", "Plan": "planner", "Simulation": "simulation", "Task": "task",
@@ -33,6 +35,7 @@ _HOME = {
 }  # fmt: skip
 
 __all__ = [
+    "Certificate",
     "Comparison",
     "Evaluation",
     "InfeasibleError",
@@ -45,6 +48,7 @@ __all__ = [
     "Task",
     "bundled_machines",
     "bundled_tasks",
+    "certify",
     "compare",
     "evaluate",
     "load_machine",

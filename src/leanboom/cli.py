@@ -1,4 +1,4 @@
-"""The command line: `leanboom plan`, `simulate`, `compare`, `reproduce`, `check`, `machines`, `tasks`.
+"""The command line: `leanboom plan`, `certify`, `simulate`, `compare`, `reproduce`, `check`, `machines`, `tasks`.
 
 Results go to standard output, for people as tables and with `--json` as one object and nothing else; progress and
 problems go to standard error. Exit codes: 0 done, 1 no feasible motion, 2 bad input, 130 interrupted. Whatever a
@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from leanboom.errors import InputError, LeanboomError
+from leanboom.errors import InfeasibleError, InputError, LeanboomError
 
 INTERRUPTED = 130  # exit code of a process ended by Ctrl-C
 PATIENCE = 1.0  # [s], a command that takes longer says what it does
@@ -110,6 +110,10 @@ def plan(
         Path | None,
         typer.Option(metavar="DIR", help="Write a run folder: report, trajectory, task, machine and summary."),
     ] = None,
+    certified: Annotated[
+        bool,
+        typer.Option("--certify", help="Prove how far from the optimum the plan can be (a minute; see certify)."),
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Plan the motion that takes the least pump energy."""
@@ -126,16 +130,66 @@ def plan(
         if out is not None:
             tell("writing the run folder", 1.0)
             runfolder.write(result, out, nodes)
+        proof = None
+        if certified and result.evaluation.feasible:
+            from leanboom import certificate
+
+            proof = certificate.certify(asked, pump, motion=result.motion, step=seconds, progress=tell)
     if as_json:
-        _print_json(runfolder.summary(result, out))
+        _print_json(runfolder.summary(result, out) | ({} if proof is None else proof.json()))
     else:
         from leanboom import tables
 
         source = asked.machine.name if task in files.bundled_tasks() else task
         tables.plan(tables.output(), result, out, source)
+        if proof is not None:
+            from leanboom import proofs
+
+            proofs.certificate(tables.output(), proof)
     if not result.evaluation.feasible:
         _complain(result.evaluation.status)
         raise typer.Exit(1)
+
+
+@app.command()
+def certify(
+    task: Annotated[str, typer.Argument(metavar="TASK", help="A bundled task (see: leanboom tasks) or a task file.")],
+    pump: Annotated[
+        Literal["ls", "cp"], typer.Option(help="Whose energy counts: load-sensing or constant-pressure pump.")
+    ] = "ls",
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WHERE",
+            help="Where the extension starts: smallest, middle, best, or a length such as '0.45 m'. "
+            "By default what the task says.",
+        ),
+    ] = None,
+    step: Annotated[str, typer.Option(metavar="TIME", help="Length of a stage, in seconds.")] = "0.05",
+    seconds: Annotated[str, typer.Option(metavar="TIME", help="Time for bounding; planning comes on top.")] = "60 s",
+    gap: Annotated[float, typer.Option(metavar="PERCENT", help="Gap at which bounding ends.")] = 0.5,
+    as_json: Json = False,
+) -> None:
+    """Plan a task and prove how far from the optimum the plan can be."""
+    _, stage = _settings("201x101", step)
+    from leanboom import certificate, files, planner, runfolder
+
+    limit = _time("seconds", seconds)
+    certificate.check(pump, stage, limit, gap)
+    asked = files.load_task(task, start=start)
+    with _Progress() as tell:
+        result = planner.run(asked, pump=pump, step=stage, baseline=False, progress=tell)
+        if not result.evaluation.feasible:
+            raise InfeasibleError(result.evaluation.status)
+        proof = certificate.certify(
+            asked, pump, motion=result.motion, step=stage, seconds=limit, gap=gap, progress=tell
+        )
+    if as_json:
+        _print_json(runfolder.summary(result) | proof.json())
+    else:
+        from leanboom import proofs, tables
+
+        proofs.certificate(tables.output(), proof)
 
 
 @app.command()
@@ -353,18 +407,28 @@ def tasks(
 
 def _settings(grid: str, step: str) -> tuple[tuple[int, int], float]:
     """Grid nodes and stage length [s] as given on the command line."""
-    from leanboom.units import KINDS, parse
-
     problems = []
     nodes = _GRID.fullmatch(grid.strip())
     if nodes is None:
         problems.append(f"grid = {grid}; must be positions x velocities, such as 201x101")
-    seconds = parse(step, KINDS["time"])
-    if seconds is None or seconds <= 0.0:
-        problems.append(f"step = {step}; must be a time above 0, such as 0.05 or '50 ms'")
-    if nodes is None or seconds is None or problems:
+    try:
+        seconds = _time("step", step)
+    except InputError as error:
+        seconds = 0.0
+        problems.append(str(error))
+    if nodes is None or problems:
         raise InputError("\n".join(problems))
     return (int(nodes[1]), int(nodes[2])), seconds
+
+
+def _time(name: str, text: str) -> float:
+    """A time above 0 [s] as given on the command line."""
+    from leanboom.units import KINDS, parse
+
+    seconds = parse(text, KINDS["time"])
+    if seconds is None or seconds <= 0.0:
+        raise InputError(f"{name} = {text}; must be a time above 0, such as 0.05 or '50 ms'")
+    return seconds
 
 
 def _listed(text: str) -> list[str]:
