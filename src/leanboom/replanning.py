@@ -21,10 +21,11 @@ from leanboom.objective import COSTS
 from leanboom.stages import Problem
 from leanboom.task import Task
 
-TUBE = (31, 25)  # nodes of a tube
+TUBE = (25, 21)  # nodes of a tube
 WIDTH, SPREAD = 0.03, 0.12  # first half widths of a tube, of the stroke range and of the velocity limit
 SETTLE = 1.0  # time in which a disturbed motion is led back to the planned one [s]
 REACH = 1e-3  # [m], how far off the feasible extensions a state may be
+STEP = 0.1  # [s]
 STEPS = (0.01, 1.0)  # stages that make sense [s]
 
 
@@ -77,7 +78,7 @@ def replan(
     pump: str = "ls",
     around: Motion | Continuation | None = None,
     grid: tuple[int, int] = (61, 41),
-    step: float = 0.1,
+    step: float = STEP,
 ) -> Continuation:
     """Plan the rest of a task from any state on the way.
 
