@@ -14,12 +14,15 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from leanboom.certificate import Certificate, certify
     from leanboom.comparison import Comparison, compare
+    from leanboom.continuation import Continuation
     from leanboom.errors import InfeasibleError, InputError, LeanboomError
     from leanboom.files import bundled_machines, bundled_tasks, load_machine, load_task
+    from leanboom.horizon import plan_receding
     from leanboom.judge import Evaluation, evaluate
     from leanboom.machine import Machine
     from leanboom.motion import Motion
     from leanboom.planner import Plan, plan, run
+    from leanboom.replanning import replan
     from leanboom.simulation import Simulation, simulate
     from leanboom.task import Task
 
@@ -28,15 +31,18 @@ __version__ = "0.1.0"
 _HOME = {
     "Certificate": "certificate", "certify": "certificate",
     "Comparison": "comparison", "compare": "comparison",
+    "Continuation": "continuation",
     "Evaluation": "judge", "InfeasibleError": "errors", "InputError": "errors", "LeanboomError": "errors",
     "Machine": "machine", "Motion": "motion", "Plan": "planner", "Simulation": "simulation", "Task": "task",
     "bundled_machines": "files", "bundled_tasks": "files", "evaluate": "judge", "load_machine": "files",
-    "load_task": "files", "plan": "planner", "run": "planner", "simulate": "simulation",
+    "load_task": "files", "plan": "planner", "plan_receding": "horizon", "replan": "replanning", "run": "planner",
+    "simulate": "simulation",
 }  # fmt: skip
 
 __all__ = [
     "Certificate",
     "Comparison",
+    "Continuation",
     "Evaluation",
     "InfeasibleError",
     "InputError",
@@ -54,6 +60,8 @@ __all__ = [
     "load_machine",
     "load_task",
     "plan",
+    "plan_receding",
+    "replan",
     "run",
     "simulate",
 ]

@@ -22,14 +22,16 @@ The error of the value is that of linear interpolation, first order in the grid 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from leanboom import continuation, hydraulics, kernels, lookahead, motion, stages
 from leanboom import crane as cranes
-from leanboom import hydraulics, kernels, motion, stages
+from leanboom.continuation import Continuation
 from leanboom.errors import InputError
 from leanboom.motion import Motion
 from leanboom.shaft import shaft_of
@@ -41,6 +43,10 @@ SLOPES = (20.0, 1.5, 1.5, 0.2)
 
 
 WORTH_SHARING = 600  # nodes of a stage that make another thread worth while
+STAGE_HIT = 1e-9  # times this close to a stage, relative to its length, are the stage's
+REACHED = 1e-9  # [m], [m/s]: states this far off the grid are on it
+
+Terminal = Callable[[np.ndarray, np.ndarray], np.ndarray]  # cost [J] of positions [m] and velocities [m/s], broadcast
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +59,82 @@ class Policy:
     tables: Tables
     setting: np.ndarray  # kernels' scalars, (kernels.SETTINGS,)
     values: np.ndarray  # cost to go, float32, (stages + 1, positions, velocities)
+
+    def control(self, time: float, position: float, velocity: float) -> float:
+        """The best acceleration of the redundant cylinder from any state on the way, by one-step look-ahead.
+
+        Between two stages the remaining part of the stage is the step, its tables taken linearly in time. The first
+        call ever on a machine compiles for some seconds: a controller should ask once before it counts.
+
+        Args:
+            time: Time on the path [s], from 0 to before its end.
+            position, velocity: Actual state of the redundant cylinder [m], [m/s].
+
+        Returns:
+            Its acceleration [m/s^2], to be held until the next stage or the next query.
+
+        Raises:
+            InputError: If the time is not on the path or the state more than half a node spacing off the grid.
+        """
+        stage, share = self._locate(time, position, velocity)
+        table = self.tables
+        return lookahead.control(
+            table.coefficients, table.outside, table.stage, table.cylinder, self.setting, self.values,
+            stage, share, float(position), float(velocity),
+        )  # fmt: skip
+
+    def replan(self, time: float, position: float, velocity: float) -> Continuation:
+        """What is left of the task from any state on the way: the policy's motion from there, judged.
+
+        Args:
+            time: Time on the path [s], from 0 to before its end.
+            position, velocity: Actual state of the redundant cylinder [m], [m/s].
+
+        Returns:
+            The motion of the remaining task, or the safest stop where that motion breaks a limit; its status says so.
+
+        Raises:
+            InputError: If the time is not on the path or the state more than half a node spacing off the grid.
+        """
+        stage, share = self._locate(time, position, velocity)
+        problem, table = self.problem, self.tables
+        first = self.control(time, position, velocity)
+        lead = problem.step * (1.0 - share)
+        c, w = np.empty(problem.stages + 1), np.empty(problem.stages + 1)
+        u = np.empty(problem.stages)
+        after = np.array([position + lead * (velocity + 0.5 * lead * first), velocity + lead * first])
+        c[stage], w[stage], u[stage] = position, velocity, first
+        kernels.rollout(
+            table.coefficients, table.outside, table.stage, table.cylinder, self.setting, self.values,
+            after, stage + 1, c, w, u,
+        )  # fmt: skip
+        rest = motion.make(
+            problem.step, c[stage:], w[stage:], u[stage:], "dp", self.cost, lead=lead if share > 0.0 else None
+        )
+        since = problem.step * (stage + share)
+        return continuation.resume(problem.task, since, rest)
+
+    def _locate(self, time: float, position: float, velocity: float) -> tuple[int, float]:
+        """Stage that a time belongs to, and the share of it gone; InputError for what the grid does not hold."""
+        problem, grid = self.problem, self.grid
+        duration = problem.time[-1]
+        if not 0.0 <= time < duration - STAGE_HIT * problem.step:
+            raise InputError(f"time = {time:g} s; must be from 0 s to before the end of the path at {duration:g} s")
+        stage = int(time / problem.step + STAGE_HIT)
+        share = max(0.0, time / problem.step - stage)
+        share = share if share > STAGE_HIT else 0.0
+        for name, unit, value, low, high, count in (
+            ("position", "m", position, grid.c_lo, grid.c_hi, grid.positions),
+            ("velocity", "m/s", velocity, grid.w_lo, grid.w_hi, grid.velocities),
+        ):
+            least = float((1.0 - share) * low[stage] + share * low[stage + 1])
+            most = float((1.0 - share) * high[stage] + share * high[stage + 1])
+            if not abs(value - 0.5 * (least + most)) <= 0.5 * (most - least) * count / (count - 1) + REACHED:
+                raise InputError(
+                    f"{name} = {value:g} {unit} at {time:g} s; this policy holds {least:.4f} {unit} to {most:.4f} "
+                    f"{unit} there: plan again from the state with leanboom.replan, or solve the policy on a wider grid"
+                )
+        return stage, share
 
     def __repr__(self) -> str:
         n, p, v = self.values.shape
@@ -128,13 +210,14 @@ def free_memory() -> float:
     return 4.0 * 2**30
 
 
-def solve(problem: Problem, grid: Grid, cost: str) -> Policy:
+def solve(problem: Problem, grid: Grid, cost: str, terminal: Terminal | None = None) -> Policy:
     """Sweep backward over a grid.
 
     Args:
         problem: The discretised task.
         grid: Position and velocity nodes of every stage.
         cost: A name of `objective.COSTS`.
+        terminal: What a position and a velocity at the last stage cost; None: the path ends at rest.
 
     Returns:
         The policy over that grid.
@@ -143,15 +226,17 @@ def solve(problem: Problem, grid: Grid, cost: str) -> Policy:
     steep = slopes(problem, cost)
     setting = stages.setting(problem, cost, steep)
     last = table.stage[-1]
+    c = last[kernels.C_LO] + last[kernels.DC] * np.arange(grid.positions)
     w = last[kernels.W_LO] + last[kernels.DW] * np.arange(grid.velocities)
-    terminal = np.repeat((steep[1] * np.abs(w))[None, :], grid.positions, axis=0)
+    ends = steep[1] * np.abs(w) if terminal is None else terminal(c[:, None], w[None, :])
+    end = np.array(np.broadcast_to(ends, (grid.positions, grid.velocities)))
     values = np.empty((problem.stages + 1, grid.positions, grid.velocities), dtype=np.float32)
     problem_arrays = table.coefficients, table.outside, table.stage, table.cylinder, setting
     workers = min(stages.threads(), grid.positions * grid.velocities // WORTH_SHARING)
     if workers < 2:
-        kernels.sweep(*problem_arrays, terminal, values)
+        kernels.sweep(*problem_arrays, end, values)
     else:
-        _sweep_shared(problem_arrays, terminal, values, workers)
+        _sweep_shared(problem_arrays, end, values, workers)
     return Policy(problem, cost, grid, table, setting, values)
 
 
@@ -174,16 +259,16 @@ def _sweep_shared(problem_arrays: Any, terminal: np.ndarray, values: np.ndarray,
             ahead, here = here, ahead
 
 
-def rollout(policy: Policy, start: float, method: str = "dp") -> Motion:
-    """The policy's motion from rest at a start position [m]."""
+def rollout(policy: Policy, start: float, method: str = "dp", velocity: float = 0.0) -> Motion:
+    """The policy's motion from a start position [m] and velocity [m/s]."""
     problem, table = policy.problem, policy.tables
-    position, velocity = np.empty(problem.stages + 1), np.empty(problem.stages + 1)
+    positions, velocities = np.empty(problem.stages + 1), np.empty(problem.stages + 1)
     control = np.empty(problem.stages)
     kernels.rollout(
         table.coefficients, table.outside, table.stage, table.cylinder, policy.setting, policy.values,
-        np.array([start, 0.0]), 0, position, velocity, control,
+        np.array([start, velocity]), 0, positions, velocities, control,
     )  # fmt: skip
-    return motion.make(problem.step, position, velocity, control, method, policy.cost)
+    return motion.make(problem.step, positions, velocities, control, method, policy.cost)
 
 
 def best_start(policy: Policy) -> float:

@@ -119,7 +119,7 @@ def evaluate(task: Task, motion: Motion) -> Evaluation:
 
 
 def _check(task: Task, motion: Motion) -> None:
-    lasts = motion.step * motion.acceleration.size
+    lasts = motion.duration
     if abs(lasts - task.duration) > 1e-6 * task.duration:
         raise InputError(f"the motion lasts {lasts:g} s, the task {task.name} {task.duration:g} s")
     if task.smooth is not None and not 0.0 < task.smooth < 0.5 / SAMPLE:
@@ -277,7 +277,8 @@ def _violations(task, motion, time, use, joint_position, velocity, acceleration,
 
 
 def _stage(motion: Motion, time: float) -> str:
-    return f" (stage {min(int(time / motion.step + 1e-9), motion.acceleration.size - 1)})"
+    late = motion.step * motion.acceleration.size - motion.duration
+    return f" (stage {min(int((time + late) / motion.step + 1e-9), motion.acceleration.size - 1)})"
 
 
 def _notes(task: Task, time: np.ndarray, pump_flow: np.ndarray, supply: np.ndarray) -> tuple[str, ...]:

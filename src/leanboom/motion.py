@@ -12,7 +12,8 @@ class Motion:
     """Motion of the redundant cylinder: acceleration piecewise constant between equally spaced stages.
 
     position[k+1] = position[k] + step velocity[k] + step^2 acceleration[k] / 2 and
-    velocity[k+1] = velocity[k] + step acceleration[k], exactly, so the samples are the continuous motion.
+    velocity[k+1] = velocity[k] + step acceleration[k], exactly, so the samples are the continuous motion. Only a motion
+    taken up between two stages has a first interval of another length, `lead`.
     """
 
     step: float  # Ts [s]
@@ -24,6 +25,7 @@ class Motion:
     status: str = "solved"  # "solved", or a sentence naming what is violated, where, when, by how much
     solve_s: float = 0.0  # wall time of solving [s], compilation excluded where it was known
     log: tuple[str, ...] = ()  # how the result came about, one line a step
+    lead: float | None = None  # length of the first interval [s], above 0 and up to `step`; None: `step`
 
     def __repr__(self) -> str:
         return (
@@ -31,14 +33,25 @@ class Motion:
             f"{self.position[0]:.4f} m -> {self.position[-1]:.4f} m, {self.status})"
         )
 
+    @property
+    def duration(self) -> float:
+        """How long the motion lasts [s]."""
+        return self.step * self.acceleration.size - self._late
+
+    @property
+    def _late(self) -> float:
+        """How much shorter than the others the first interval is [s]."""
+        return 0.0 if self.lead is None else self.step - self.lead
+
     def at(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position [m], velocity [m/s] and acceleration [m/s^2] at times [s]; the ends are held outside.
 
         Accelerations at a stage are those of the interval that begins there (the last one at the end).
         """
-        time = np.clip(np.asarray(time, dtype=np.float64), 0.0, self.step * self.acceleration.size)
+        late = self._late
+        time = np.clip(np.asarray(time, dtype=np.float64), 0.0, self.duration) + late
         stage = np.minimum((time / self.step + 1e-9).astype(np.int64), self.acceleration.size - 1)
-        dt = time - stage * self.step
+        dt = time - np.maximum(stage * self.step, late)
         u = self.acceleration[stage]
         w = self.velocity[stage]
         return self.position[stage] + dt * (w + 0.5 * dt * u), w + dt * u, u

@@ -22,7 +22,7 @@ from leanboom.judge import Evaluation, evaluate, judged_cost
 from leanboom.motion import Motion
 from leanboom.objective import COSTS
 from leanboom.stages import Problem
-from leanboom.task import Lines, Spline, Task
+from leanboom.task import Task
 
 if TYPE_CHECKING:
     from leanboom.polish import Modes, Polisher  # CasADi is slow to import: when it is needed
@@ -423,10 +423,7 @@ def _on_stages(seed: Motion, problem: Problem) -> Motion:
 
 def slower(task: Task, factor: float) -> Task:
     """The same task taking `factor` times as long."""
-    path = task.path
-    if isinstance(path, Lines):
-        return replace(task, path=Lines(path.points, tuple(factor * d for d in path.durations)))
-    return replace(task, path=Spline(path.points, tuple(factor * t for t in path.times)))
+    return replace(task, path=task.path.slower(factor))
 
 
 def shortest_duration(

@@ -16,7 +16,7 @@ from rich.text import Text
 from leanboom import inspection, shaft
 from leanboom.machine import EfficiencyMap
 from leanboom.source import shortened
-from leanboom.task import Spline
+from leanboom.task import Spline, written
 
 if TYPE_CHECKING:
     from leanboom.comparison import Comparison, Row
@@ -314,7 +314,7 @@ def task_facts(task: Task) -> dict[str, Any]:
     Args:
         task: The task.
     """
-    path = task.path
+    path = written(task)
     if isinstance(path, Spline):
         timing = {"path": "spline", "times_s": list(path.times)}
     else:
@@ -324,7 +324,7 @@ def task_facts(task: Task) -> dict[str, Any]:
         "machine": task.machine.name,
         "payload_kg": task.payload,
         **timing,
-        "points_m": [list(point) for point in task.path.points],
+        "points_m": [list(point) for point in path.points],
         "duration_s": task.duration,
         "start": task.start,
         "smooth_hz": task.smooth,
@@ -400,7 +400,7 @@ def task_list(console: Console, tasks: Sequence[Task]) -> None:
     table = _table("Task", "Machine", "Path", "Start", "payload\nkg", "time\ns", numbers=2)
     for task in tasks:
         kind = "spline" if isinstance(task.path, Spline) else "lines"
-        path = f"{kind}, {len(task.path.points)} points"
+        path = f"{kind}, {len(written(task).points)} points"
         _row(table, task.name, task.machine.name, path, _start(task), f"{task.payload:g}", f"{task.duration:g}")
     console.print(table)
     _say(console, "\nDetails: leanboom tasks NAME; plan one: leanboom plan NAME --out DIR")
@@ -413,19 +413,20 @@ def task_detail(console: Console, task: Task) -> None:
         console: Where to print.
         task: The task.
     """
+    path = written(task)
     _heading(console, task.name, "")
-    kind = "clamped cubic spline" if isinstance(task.path, Spline) else "straight lines, at rest at every point"
+    kind = "clamped cubic spline" if isinstance(path, Spline) else "straight lines, at rest at every point"
     _say(console, f"Machine   {task.machine.name}")
     _say(console, f"Payload   {task.payload:g} kg")
     _say(console, f"Start     {_start(task)}")
     _say(console, f"Path      {kind}, {task.duration:g} s")
     console.print()
-    if isinstance(task.path, Spline):
-        times = task.path.times
+    if isinstance(path, Spline):
+        times = path.times
     else:
-        times = tuple(sum(task.path.durations[:i]) for i in range(len(task.path.points)))
+        times = tuple(sum(path.durations[:i]) for i in range(len(path.points)))
     table = _table("time\ns", "x\nm", "y\nm", "z\nm", numbers=4)
-    for time, point in zip(times, task.path.points, strict=True):
+    for time, point in zip(times, path.points, strict=True):
         _row(table, f"{time:g}", *(f"{value:g}" for value in point))
     console.print(table)
 

@@ -9,7 +9,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from leanboom.errors import InputError
 from leanboom.machine import Machine
+
+Values = tuple[np.ndarray, np.ndarray, np.ndarray]  # tool position, velocity, acceleration, (samples, 3) each
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +27,21 @@ class Lines:
         """Total time [s]."""
         return float(sum(self.durations))
 
+    def slower(self, factor: float) -> Lines:
+        """The same path taking `factor` times as long."""
+        return Lines(self.points, tuple(factor * d for d in self.durations))
+
+    def values(self, time: np.ndarray) -> Values:
+        """Tool position [m], velocity [m/s] and acceleration [m/s^2] at times within [0, duration]."""
+        points = np.asarray(self.points, dtype=np.float64)
+        ends = np.cumsum(self.durations)
+        segment = np.minimum(np.searchsorted(ends, time, side="right"), len(ends) - 1)
+        length = np.asarray(self.durations)[segment]
+        s = np.clip((time - (ends[segment] - length)) / length, 0.0, 1.0)
+        step = points[segment + 1] - points[segment]
+        position, velocity, acceleration = (rate[:, None] * step for rate in quintic(s, length))
+        return position + points[segment], velocity, acceleration
+
 
 @dataclass(frozen=True, slots=True)
 class Spline:
@@ -37,8 +55,94 @@ class Spline:
         """Total time [s]."""
         return float(self.times[-1])
 
+    def slower(self, factor: float) -> Spline:
+        """The same path taking `factor` times as long."""
+        return Spline(self.points, tuple(factor * t for t in self.times))
 
-Path = Lines | Spline
+    def values(self, time: np.ndarray) -> Values:
+        """Tool position [m], velocity [m/s] and acceleration [m/s^2] at times within [0, duration]."""
+        from scipy.interpolate import CubicSpline  # half a second that loading a task does not need
+
+        points = np.asarray(self.points, dtype=np.float64)
+        spline = CubicSpline(np.asarray(self.times), points, bc_type="clamped")
+        return spline(time), spline(time, 1), spline(time, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A path between two of its times, on a clock of its own: what is left to do, or what is known of it."""
+
+    path: Path
+    since: float  # [s]
+    until: float  # [s]
+
+    @property
+    def duration(self) -> float:
+        """Total time [s]."""
+        return self.until - self.since
+
+    def slower(self, factor: float) -> Part:
+        """The same part taking `factor` times as long."""
+        return Part(self.path.slower(factor), factor * self.since, factor * self.until)
+
+    def values(self, time: np.ndarray) -> Values:
+        """Tool position [m], velocity [m/s] and acceleration [m/s^2] at times within [0, duration]."""
+        return self.path.values(np.clip(self.since + time, 0.0, self.path.duration))
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """A path whose target moves on the way: from a time on the tool is led over, smoothly, to a path beside it."""
+
+    path: Path
+    offset: tuple[float, float, float]  # how far the rest of the path moves [m]
+    since: float  # until then the path is as it was [s]
+    over: float  # time that leading over takes, by a quintic [s]
+
+    @property
+    def duration(self) -> float:
+        """Total time [s]."""
+        return self.path.duration
+
+    def slower(self, factor: float) -> Moved:
+        """The same path taking `factor` times as long."""
+        return Moved(self.path.slower(factor), self.offset, factor * self.since, factor * self.over)
+
+    def values(self, time: np.ndarray) -> Values:
+        """Tool position [m], velocity [m/s] and acceleration [m/s^2] at times within [0, duration]."""
+        s = np.clip((time - self.since) / self.over, 0.0, 1.0)
+        offset = np.asarray(self.offset, dtype=np.float64)
+        pairs = zip(self.path.values(time), quintic(s, self.over), strict=True)
+        position, velocity, acceleration = (values + rate[:, None] * offset for values, rate in pairs)
+        return position, velocity, acceleration
+
+
+@dataclass(frozen=True, slots=True)
+class Braking:
+    """A path left early: from a time on the tool slows down evenly along it until it stands."""
+
+    path: Path
+    since: float  # [s]
+    over: float  # time that stopping takes [s]
+
+    @property
+    def duration(self) -> float:
+        """Total time [s]."""
+        return self.over
+
+    def slower(self, factor: float) -> Braking:
+        """The same path taking `factor` times as long."""
+        return Braking(self.path.slower(factor), factor * self.since, factor * self.over)
+
+    def values(self, time: np.ndarray) -> Values:
+        """Tool position [m], velocity [m/s] and acceleration [m/s^2] at times within [0, duration]."""
+        rate = (1.0 - time / self.over)[:, None]
+        reached = self.since + time * (1.0 - 0.5 * time / self.over)
+        position, velocity, acceleration = self.path.values(np.clip(reached, 0.0, self.path.duration))
+        return position, rate * velocity, rate**2 * acceleration - velocity / self.over
+
+
+Path = Lines | Spline | Part | Moved | Braking
 Start = str | float  # "smallest" | "middle" | "best" | length of the redundant cylinder [m]
 
 
@@ -73,6 +177,18 @@ class Reference:
     acceleration: np.ndarray  # [m/s^2], (samples, 3)
 
 
+def written(task: Task) -> Lines | Spline:
+    """The path of a task as a file can hold it.
+
+    Raises:
+        InputError: If the path is made in Python out of others: a part of one, one that moves, one that is left.
+    """
+    if isinstance(task.path, Lines | Spline):
+        return task.path
+    kind = type(task.path).__name__.lower()
+    raise InputError(f"the path of task {task.name} is a {kind} path; files and tables hold lines and splines alone")
+
+
 def sample(task: Task, time: np.ndarray) -> Reference:
     """Tool position, velocity and acceleration at the given times.
 
@@ -85,28 +201,17 @@ def sample(task: Task, time: np.ndarray) -> Reference:
     """
     time = np.asarray(time, dtype=np.float64)
     clamped = np.clip(time, 0.0, task.duration)
-    path = task.path
-    points = np.asarray(path.points, dtype=np.float64)
-    if isinstance(path, Spline):
-        from scipy.interpolate import CubicSpline  # half a second that loading a task does not need
-
-        spline = CubicSpline(np.asarray(path.times), points, bc_type="clamped")
-        values = [spline(clamped, order) for order in range(3)]
-    else:
-        ends = np.cumsum(path.durations)
-        segment = np.minimum(np.searchsorted(ends, clamped, side="right"), len(ends) - 1)
-        length = np.asarray(path.durations)[segment]
-        s = np.clip((clamped - (ends[segment] - length)) / length, 0.0, 1.0)
-        step = points[segment + 1] - points[segment]
-        # Quintic rest-to-rest: s(0)=0, s(1)=1, zero velocity and acceleration at both ends.
-        shape = (
-            s**3 * (10 - 15 * s + 6 * s**2),
-            30 * s**2 * (1 - s) ** 2 / length,
-            60 * s * (1 - 3 * s + 2 * s**2) / length**2,
-        )
-        values = [shape[order][:, None] * step for order in range(3)]
-        values[0] = values[0] + points[segment]
+    values = task.path.values(clamped)
     arrays = [time.copy(), *values]
     for array in arrays:
         array.setflags(write=False)
     return Reference(*arrays)
+
+
+def quintic(s: np.ndarray, duration: np.ndarray | float) -> Values:
+    """The quintic from rest to rest, 0 to 1, at shares s of a duration [s]; also its rate and the rate of that."""
+    return (
+        s**3 * (10 - 15 * s + 6 * s**2),
+        30 * s**2 * (1 - s) ** 2 / duration,
+        60 * s * (1 - 3 * s + 2 * s**2) / duration**2,
+    )

@@ -27,7 +27,7 @@ from leanboom.machine import (
 from leanboom.rules import Rule, rule_of
 from leanboom.schema import EFFICIENCY_MAP, CylinderKeys, MachineKeys, Section, TaskKeys
 from leanboom.source import STATUSES, Key, dotted, scalar, shortened
-from leanboom.task import Spline, Task
+from leanboom.task import Spline, Task, written
 from leanboom.units import KINDS, parse, write
 
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")  # texts that need no quotes
@@ -60,12 +60,12 @@ def machine_text(machine: Machine) -> str:
 
 def task_text(task: Task, machine: str) -> str:
     """The text of a task file that loads as this task, where `machine` names the machine's file."""
-    path = asdict(task.path)
+    path = written(task)
     data = {
         "name": task.name,
         "machine": machine,
         "payload": task.payload,
-        "path": {"type": "spline" if isinstance(task.path, Spline) else "lines", **path},
+        "path": {"type": "spline" if isinstance(path, Spline) else "lines", **asdict(path)},
         "start": task.start,
         "smooth": task.smooth,
     }

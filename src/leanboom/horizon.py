@@ -1,0 +1,194 @@
+"""Receding horizon: plan along a path that is known only some seconds ahead, and again as it comes to be known.
+
+Every `every` seconds the motion over the known part of the path is planned from the present state, and its beginning
+is carried out. Nothing of the path beyond the horizon is used. What the unknown rest is worth is priced at the
+horizon's end, from the known end point alone (see `Price`); once the end of the path is in sight, the motion ends at
+rest there and is carried out as planned.
+
+The closed-up motion keeps the limits of every stage, because each plan does over its whole horizon and only its
+beginning is used: `horizon` - `every` seconds remain to react to what comes into sight. Two measures keep the next
+plan feasible too. The price makes the redundant cylinder able to stop before the ends of its feasible extensions at
+the horizon's end. And the rest of the previous plan is always among the candidates, so a plan is only given up for
+a better one. This is no proof: a path may turn, beyond the horizon, to where no motion from the present state leads.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from leanboom import crane as cranes
+from leanboom import dp, motion, shaft, stages
+from leanboom.continuation import Continuation
+from leanboom.errors import InfeasibleError, InputError
+from leanboom.judge import Evaluation, evaluate
+from leanboom.motion import Motion
+from leanboom.objective import COSTS
+from leanboom.replanning import Search, track
+from leanboom.stages import Problem
+from leanboom.task import Part, Task
+
+# See `Price`. Tuned on the loader's bundled tasks; a third or three times `WORTH` loses up to 8 % there, at 3 s.
+ROOM, WORTH = 0.8, 0.15
+BRAKE = 0.5  # share of the acceleration limit that stopping before an end may take
+LEVELS = tuple(0.5**level for level in range(5))  # tubes around the coarse motion
+NEAR = LEVELS[2:]  # tubes around the rest of the previous plan
+
+
+@dataclass(frozen=True, slots=True)
+class Price:
+    """What a state at the horizon's end costs, because of what may come.
+
+    Room to retract is worth energy: a tool that comes nearer takes little from the pump while the telescope retracts,
+    and much once it cannot and the other cylinders lift instead. A metre of room costs up to `worth` where there is
+    none left, in proportion less up to `room`. And a velocity at which the cylinder cannot stop before an end of its
+    feasible extensions costs like leaving them.
+    """
+
+    low: float  # smallest feasible extension at the horizon's end [m]
+    high: float  # largest [m]
+    room: float  # distance from the smallest that is enough [m]
+    worth: float  # price of room at the smallest [J/m]
+    brake: float  # deceleration counted on [m/s^2]
+    slope: float  # price of being beyond an end [J/m]
+
+    def __call__(self, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Price [J] of positions [m] and velocities [m/s], arrays that broadcast."""
+        stops = position + 0.5 * velocity * np.abs(velocity) / self.brake
+        beyond = np.maximum(0.0, self.low - stops) + np.maximum(0.0, stops - self.high)
+        short = np.maximum(0.0, 1.0 - (position - self.low) / self.room)
+        return 0.5 * self.worth * self.room * short**2 + self.slope * beyond
+
+
+def price(problem: Problem, cost: str) -> Price:
+    """The price of ending a problem anywhere, from its last point alone.
+
+    Room is worth a share of what it takes to move the redundant cylinder by a metre, the tool standing at the last
+    point: supply pressure there times the flow of all cylinders.
+    """
+    crane, machine, moving = problem.crane, problem.crane.machine, problem.moving
+    low, high = float(problem.lower[-1]), float(problem.upper[-1])
+    pose = cranes.pose(crane, problem.plane[-1], 0.5 * (low + high))
+    still, forth = cranes.move(pose, 0.0, 0.0), cranes.move(pose, 1.0, 0.0)
+    flow, pressure = 0.0, 0.0
+    for drive, v0, v1, load in zip(
+        crane.drives[moving], still.velocity[moving], forth.velocity[moving], still.load[moving], strict=True
+    ):
+        flow += drive.area_out * abs(float(v1 - v0))
+        pressure = max(pressure, drive.gain_out * float(load), -drive.gain_in * float(load))
+    supply = machine.pump.constant_pressure if cost == "cp" else pressure + machine.pump.ls_margin
+    shortest, longest = stages.stroke_range(problem.task)
+    return Price(
+        low,
+        high,
+        ROOM * (longest - shortest),
+        WORTH * supply * flow / shaft.shaft_of(machine.pump).efficiency,
+        BRAKE * machine.redundant.acceleration_limit,
+        dp.slopes(problem, cost)[0],
+    )
+
+
+def plan_receding(
+    task: Task,
+    *,
+    pump: str = "ls",
+    horizon: float = 3.0,
+    every: float = 0.5,
+    grid: tuple[int, int] = (101, 51),
+    step: float = 0.05,
+    check: bool = True,
+    progress: Callable[[str, float], None] | None = None,
+) -> Motion:
+    """Plan a task as if its path were known only some seconds ahead.
+
+    Args:
+        task: The task; `start` must not be `best`, which needs the whole path. Its duration is known from the
+            beginning, for equal stages alone.
+        pump: "ls" or "cp": whose energy counts.
+        horizon: How far ahead the path is known [s]; rounded to whole stages.
+        every: Time between two plans [s], up to the horizon; rounded to whole stages.
+        grid: Position and velocity nodes of the coarse grid over a horizon.
+        step: Length of a stage [s].
+        check: Whether to raise where the motion breaks a limit.
+        progress: Called with what happens and the share done.
+
+    Returns:
+        The motion of the whole task as it was carried out; its `status` says whether it keeps every limit.
+
+    Raises:
+        InputError: For arguments that cannot be used, such as a horizon shorter than a stage.
+        InfeasibleError: If `check` and the motion breaks a limit.
+    """
+    _check(task, pump, horizon, every, grid, step)
+    dp.prepare()
+    began = time.perf_counter()
+    count = max(2, int(np.ceil(task.duration / step - 1e-9)))
+    step = task.duration / count
+    ahead, often = max(2, round(horizon / step)), max(1, round(every / step))
+    start = dp.start_position(stages.discretise(replace(task, path=Part(task.path, 0.0, 2 * step)), step), task.start)
+    assert start is not None
+    speed = np.zeros(count + 1)
+    position, first, log, previous = start, 0, [], None
+    while first < count:
+        last = first + ahead
+        last = count if last >= count - 1 else last  # no rest of a single stage
+        if progress is not None:
+            progress(f"plan at {first * step:.1f} s of {task.duration:g} s", first / count)
+        judged = _plan(task, pump, grid, step, (first, last, count), position, float(speed[first]), previous)
+        taken = last - first if last == count else min(often, last - first)
+        found = judged.motion
+        log.append(f"{first * step:7.2f} s  {judged.energy(pump):.6g} J to {last * step:.2f} s, {judged.status}")
+        speed[first : first + taken + 1] = found.velocity[: taken + 1]
+        position = float(found.position[taken])
+        previous = Continuation(judged.task, first * step, found, judged, stopping=False)
+        first += taken
+    whole = motion.from_velocities(step, start, speed, "receding", pump)
+    status = evaluate(task, whole).status
+    if check and status != "solved":
+        raise InfeasibleError(f"{status}; a horizon longer than {horizon:g} s leaves more time to react")
+    return replace(whole, status=status, solve_s=time.perf_counter() - began, log=tuple(log))
+
+
+def _plan(
+    task: Task,
+    cost: str,
+    grid: tuple[int, int],
+    step: float,
+    span: tuple[int, int, int],
+    position: float,
+    velocity: float,
+    previous: Continuation | None,
+) -> Evaluation:
+    """The best motion found over the known stages `first` to `last` of `count`."""
+    first, last, count = span
+    until = task.duration if last == count else last * step
+    known = replace(task, path=Part(task.path, first * step, until), start="middle", smooth=None)
+    problem = stages.discretise(known, step)
+    search = Search(problem, cost, position, velocity, None if last == count else price(problem, cost))
+    best = search.refine(search.solve(stages.full_grid(problem, *grid)), LEVELS)
+    if previous is None:
+        return best
+    other = search.refine(evaluate(known, track(search, previous, first * step)), NEAR)
+    return min(best, other, key=search.score)
+
+
+def _check(task: Task, pump: str, horizon: float, every: float, grid: tuple[int, int], step: float) -> None:
+    """Raise InputError for arguments that cannot be used, all problems at once."""
+    problems = []
+    if pump not in COSTS:
+        problems.append(f"pump = {pump}; must be one of {', '.join(COSTS)}")
+    if not 1e-3 <= step <= 1.0:
+        problems.append(f"step = {step:g} s; must be from 0.001 s to 1 s")
+    elif not horizon >= 2.0 * step:
+        problems.append(f"horizon = {horizon:g} s; must be at least two stages, {2.0 * step:g} s")
+    elif not step <= every <= horizon:
+        problems.append(f"every = {every:g} s; must be from one stage, {step:g} s, to the horizon, {horizon:g} s")
+    if min(grid) < 3:
+        problems.append(f"grid = {grid[0]}x{grid[1]}; needs at least 3 positions and 3 velocities")
+    if task.start == "best":
+        problems.append("start = best; needs the whole path, choose smallest, middle or a length")
+    if problems:
+        raise InputError("; ".join(problems))

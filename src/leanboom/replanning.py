@@ -1,0 +1,167 @@
+"""Plan the rest of a task while it is under way: a coarse dynamic program from any state, quick enough to act on.
+
+The path may have changed: what counts is the task handed in, from the present time on. Around a previous motion one
+tube is swept; tables, sweep and judging together take some tens of milliseconds. Without one, a coarse program over
+all feasible extensions comes first. Nothing is polished. The search over tubes also serves `horizon`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from leanboom import continuation, dp, motion, stages
+from leanboom.continuation import Continuation
+from leanboom.errors import InfeasibleError, InputError
+from leanboom.judge import Evaluation, evaluate, judged_cost
+from leanboom.motion import Motion
+from leanboom.objective import COSTS
+from leanboom.stages import Problem
+from leanboom.task import Task
+
+TUBE = (25, 21)  # nodes of a tube
+WIDTH, SPREAD = 0.03, 0.12  # first half widths of a tube, of the stroke range and of the velocity limit
+SETTLE = 1.0  # time in which a disturbed motion is led back to the planned one [s]
+REACH = 1e-3  # [m], how far off the feasible extensions a state may be
+STEP = 0.1  # [s]
+STEPS = (0.01, 1.0)  # stages that make sense [s]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Search:
+    """A problem to be solved from a given state."""
+
+    problem: Problem
+    cost: str
+    position: float  # [m]
+    velocity: float  # [m/s]
+    terminal: dp.Terminal | None = None  # what the end costs; None: the path ends at rest
+
+    def score(self, judged: Evaluation) -> tuple[float, float]:
+        """What makes one motion better than another, smaller first: use of limits beyond 1, then cost."""
+        over = 0.0 if judged.feasible else max(judged.limit_use.worst, judged.path_error)
+        total = judged_cost(judged, self.cost)
+        if self.terminal is not None:
+            end = np.array([judged.motion.position[-1]]), np.array([judged.motion.velocity[-1]])
+            total += float(self.terminal(*end)[0])
+        return over, total
+
+    def solve(self, grid: stages.Grid) -> Evaluation:
+        """The motion of the dynamic program on a grid, judged."""
+        policy = dp.solve(self.problem, grid, self.cost, self.terminal)
+        return evaluate(self.problem.task, dp.rollout(policy, self.position, velocity=self.velocity))
+
+    def tube(self, around: Motion, half: float) -> Evaluation:
+        """The same on a tube around a motion, `half` as wide as the first one."""
+        low, high = stages.stroke_range(self.problem.task)
+        limit = self.problem.crane.machine.redundant.velocity_limit
+        widths = half * WIDTH * (high - low), half * SPREAD * limit
+        return self.solve(stages.tube_grid(self.problem, around.position, around.velocity, *widths, *TUBE))
+
+    def refine(self, chain: Evaluation, halves: Iterable[float]) -> Evaluation:
+        """The best motion of narrower and narrower tubes around a chain of better and better ones."""
+        for half in halves:
+            found = self.tube(chain.motion, half)
+            if self.score(found) < self.score(chain):
+                chain = found
+        return chain
+
+
+def replan(
+    task: Task,
+    time: float,
+    position: float,
+    velocity: float,
+    *,
+    pump: str = "ls",
+    around: Motion | Continuation | None = None,
+    grid: tuple[int, int] = (61, 41),
+    step: float = STEP,
+) -> Continuation:
+    """Plan the rest of a task from any state on the way.
+
+    Args:
+        task: The task as it is now; its path may differ from the one planned before.
+        time: Time on the path [s], from 0 to before its end.
+        position, velocity: Actual state of the redundant cylinder [m], [m/s].
+        pump: "ls" or "cp", or another name of `objective.COSTS`: what to minimise.
+        around: A motion on the task's clock to search around, for instance the previous plan: much quicker. Leave it
+            out where the path has changed by more than the tube is wide, a few centimetres of extension.
+        grid: Position and velocity nodes of the coarse grid that is used without `around`.
+        step: Length of a stage [s].
+
+    Returns:
+        The best motion found; following `around` is among the candidates. Where none keeps every limit, the safest
+        stop; its status says so.
+
+    Raises:
+        InputError: For a time that is not on the path, a state off the feasible extensions, or other bad arguments.
+    """
+    _check(task, time, position, velocity, pump, grid, step)
+    try:
+        problem = stages.discretise(continuation.rest(task, time), min(step, 0.5 * (task.duration - time)))
+    except InfeasibleError as error:  # the path leads where the tool cannot go
+        return continuation.safest_stop(task, time, position, velocity, str(error))
+    _check_position(problem, time, position)
+    search = Search(problem, pump, position, velocity)
+    if around is None:
+        coarse = search.solve(stages.full_grid(problem, *grid))
+        best = search.refine(coarse, (1.0,))
+    else:
+        best = search.refine(evaluate(problem.task, track(search, around, time)), (1.0,))
+    if not best.feasible:
+        return continuation.safest_stop(task, time, position, velocity, best.status)
+    return Continuation(problem.task, time, best.motion, best, stopping=False)
+
+
+def track(search: Search, around: Motion | Continuation, since: float) -> Motion:
+    """Follow a motion from a state beside it: the deviation dies away within `SETTLE`, smoothly.
+
+    Args:
+        search: The problem and the state.
+        around: The motion to follow, on the whole task's clock.
+        since: When the problem's clock begins on that clock [s].
+
+    Returns:
+        The motion on the problem's stages, at rest at its end unless the search prices its end.
+    """
+    problem = search.problem
+    c, w, _ = around.at(since + problem.time)
+    off_c, off_w = search.position - c[0], search.velocity - w[0]
+    lasts = min(SETTLE, problem.time[-1])
+    s = np.minimum(problem.time / lasts, 1.0)
+    # Cubic Hermite from the deviation to none, differentiated.
+    speed = w + 6.0 * (s * s - s) / lasts * off_c + (1.0 - s) * (1.0 - 3.0 * s) * off_w
+    if search.terminal is None:
+        speed[-1] = 0.0
+    return motion.from_velocities(problem.step, search.position, speed, "track", search.cost)
+
+
+def _check(task, time, position, velocity, pump, grid, step) -> None:
+    """Raise InputError for arguments that cannot be used, all problems at once."""
+    problems = []
+    if not 0.0 <= time <= task.duration - STEPS[0]:
+        latest = task.duration - STEPS[0]
+        problems.append(f"time = {time:g} s; must be from 0 s to {latest:g} s, shortly before the end of the path")
+    if not (np.isfinite(position) and np.isfinite(velocity)):
+        problems.append(f"state = {position:g} m, {velocity:g} m/s; must be finite")
+    if pump not in COSTS:
+        problems.append(f"pump = {pump}; must be one of {', '.join(COSTS)}")
+    if min(grid) < 3:
+        problems.append(f"grid = {grid[0]}x{grid[1]}; needs at least 3 positions and 3 velocities")
+    if not STEPS[0] <= step <= STEPS[1]:
+        problems.append(f"step = {step:g} s; must be from {STEPS[0]:g} s to {STEPS[1]:g} s")
+    if problems:
+        raise InputError("; ".join(problems))
+
+
+def _check_position(problem: Problem, time: float, position: float) -> None:
+    intervals = problem.intervals[0]
+    if not np.any((intervals[:, 0] - REACH <= position) & (position <= intervals[:, 1] + REACH)):
+        allowed = " or ".join(f"{low:.4f} m to {high:.4f} m" for low, high in intervals)
+        raise InputError(
+            f"position = {position:g} m at {time:g} s; the tool is on its path there with {allowed}: "
+            "check the state, or hand in a path that begins where the tool is"
+        )
