@@ -1,7 +1,7 @@
 """Peers side by side: `python -m benchmarks.peers [--tasks ...] [--starts ...] [--pump ...] [--peers ...] [--limit S]`.
 
 A table for each task, start and pump. Every peer runs in a process of its own, on one thread, one after the other, and
-is stopped after a limit. What each peer is, and a run, is in docs/peers.md.
+is stopped after a limit of processor time, so that other programs disturb little. What each peer is, and a run, is in docs/peers.md.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
-import threading
 from pathlib import Path
 
 import leanboom as lb
@@ -21,11 +21,11 @@ from benchmarks.peers.table import Measured, lines
 
 TASKS = ("forwarder-vertical", "loader-triangle-large")
 STARTS = ("smallest", "middle")
-LIMIT = 300.0  # [s]
+LIMIT = 300  # [s] of the processor
 ONE_THREAD = dict.fromkeys(("LEANBOOM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
-def run(task: str, start: str, pump: str, peer: str, limit: float) -> Measured:
+def run(task: str, start: str, pump: str, peer: str, limit: int) -> Measured:
     """Measure a peer in a process of its own.
 
     Args:
@@ -33,34 +33,30 @@ def run(task: str, start: str, pump: str, peer: str, limit: float) -> Measured:
         start: Where the redundant cylinder starts: smallest, middle or a length [m].
         pump: "ls" or "cp".
         peer: A name of `PEERS`.
-        limit: Wall time after which it is stopped [s].
+        limit: Processor time after which it is stopped [s].
     """
     missing = absent(peer)
     if missing:
         return Measured(peer, remark=missing)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "measured.json"
-        child = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.peers.child", task, start, pump, peer, str(file)],
-            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env={**os.environ, **ONE_THREAD},
-        )  # fmt: skip
-        share, last, stopped = 0.0, "", threading.Event()
-        alarm = threading.Timer(limit, lambda: (stopped.set(), child.kill()))
-        alarm.start()
-        assert child.stderr is not None
-        for line in child.stderr:
-            if line.startswith("progress "):
-                share = float(line.split()[1])
-                show(f"{task}, {start}, {pump}: {peer} {share:4.0%}")
-            elif line.strip():
-                last = line.strip()
-        child.wait()
-        alarm.cancel()
+        command = [sys.executable, "-m", "benchmarks.peers.child", task, start, pump, peer, str(limit), str(file)]
+        share, last = 0.0, ""
+        with subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env={**os.environ, **ONE_THREAD}
+        ) as child:
+            assert child.stderr is not None
+            for line in child.stderr:
+                if line.startswith("progress "):
+                    share = float(line.split()[1])
+                    show(f"{task}, {start}, {pump}: {peer} {share:4.0%}")
+                elif line.strip():
+                    last = line.strip()
         show("")
         if file.exists():
             return Measured(**json.loads(file.read_text(encoding="utf-8")))
-        if stopped.is_set():
-            return Measured(peer, remark=f"stopped after {limit:g} s, {share:.0%} done")
+        if child.returncode == -signal.SIGXCPU:
+            return Measured(peer, remark=f"stopped after {limit} s, {share:.0%} done")
         return Measured(peer, remark=f"failed: {last}")
 
 
@@ -85,10 +81,12 @@ def main() -> None:
     parser.add_argument("--starts", type=lambda text: text.split(","), default=list(STARTS), help="or lengths in m")
     parser.add_argument("--pump", type=lambda text: chosen(text, ("ls", "cp")), default=["ls", "cp"])
     parser.add_argument("--peers", type=lambda text: chosen(text, tuple(PEERS)), default=list(PEERS))
-    parser.add_argument("--limit", type=float, default=LIMIT, help="wall time of one peer [s]")
+    parser.add_argument("--limit", type=int, default=LIMIT, help="processor time of one peer [s]")
     arguments = parser.parse_args()
     print("\n".join(f"{name}: {peer.what}" for name, peer in PEERS.items() if name in arguments.peers))
-    print(f"each stopped after {arguments.limit:g} s; (!): breaks a limit; leanboom {lb.__version__}")
+    print(
+        f"each on one thread, stopped after {arguments.limit} s of the processor; (!): breaks a limit; leanboom {lb.__version__}"
+    )
     for task in arguments.tasks:
         for start in arguments.starts:
             for pump in arguments.pump:

@@ -1,4 +1,4 @@
-"""One peer on one task in a process of its own: `python -m benchmarks.peers.child TASK START PUMP PEER FILE`.
+"""One peer on one task in a process of its own: `python -m benchmarks.peers.child TASK START PUMP PEER LIMIT FILE`.
 
 Writes a `Measured` as JSON to the file, and lines `progress SHARE TEXT` to standard error. The time is that of the
 processor from the loaded task to the motion; imports and the loading of compiled kernels come before it.
@@ -51,7 +51,8 @@ def peak() -> int:
 
 
 def main() -> None:
-    name, start, pump, peer, file = sys.argv[1:]
+    name, start, pump, peer, limit, file = sys.argv[1:]
+    resource.setrlimit(resource.RLIMIT_CPU, (int(limit), resource.RLIM_INFINITY))  # SIGXCPU ends the process
     Path(file).write_text(json.dumps(asdict(measure(name, start, pump, peer))), encoding="utf-8")
 
 

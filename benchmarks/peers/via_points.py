@@ -24,7 +24,7 @@ from leanboom.task import Task
 METHOD = "via-points"
 POINTS = 12
 STEP = 0.01  # [s], of the motion
-EVALUATIONS, SECONDS = 20_000, 120.0  # whichever is used up first; seconds of the processor
+EVALUATIONS, SECONDS = 20_000, 60.0  # whichever is used up first; seconds of the processor
 SPREAD = 0.2  # first standard deviation, in shares
 RESTARTS = 9
 SEED = 20170506
