@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from benchmarks.peers import child, node_to_node, roster, via_points
+from benchmarks.peers import adaptive_mesh, child, node_to_node, roster, via_points
 from benchmarks.peers.__main__ import run
 from benchmarks.peers.table import Measured, lines
 
@@ -16,7 +16,7 @@ from leanboom import dp, stages
 from leanboom.errors import InfeasibleError
 from leanboom.files import load_task
 from leanboom.judge import evaluate
-from leanboom.task import Lines, Spline, sample
+from leanboom.task import sample
 
 
 @pytest.fixture(scope="module")
@@ -113,15 +113,26 @@ def test_the_price_rises_with_every_limit_used_too_far_and_beyond_reach():
 @pytest.mark.parametrize("name", ["forwarder-half-cycle", "loader-triangle-large", "forwarder-horizontal"])
 def test_paths_as_polynomials_are_the_paths(name):
     """Straight segments and splines, with their velocities and accelerations."""
-    adaptive_mesh = pytest.importorskip("benchmarks.peers.adaptive_mesh")
     task = load_task(name)
-    assert isinstance(task.path, Lines | Spline)
     for piece in adaptive_mesh.pieces(task):
         time = np.linspace(piece.begin, piece.end, 7)[1:-1]
         found = adaptive_mesh.on_path(piece.coefficients, time - piece.begin)
         reference = sample(task, time)
         for values, wanted in zip(found, (reference.point, reference.velocity, reference.acceleration), strict=True):
             np.testing.assert_allclose(np.stack(np.broadcast_arrays(*values), axis=1), wanted, atol=1e-9)
+
+
+def test_maptor_plans_what_collocation_plans(monkeypatch):
+    """On one mesh, within 2 % of the optimum; neighbouring intervals of maptor's answer both hold their common point."""
+    pytest.importorskip("maptor")
+    monkeypatch.setattr(adaptive_mesh, "MESHES", 1)
+    task = load_task("forwarder-vertical", start="middle")
+    start = dp.start_position(stages.discretise(task, 0.05), "middle")
+    motion = adaptive_mesh.plan(task, "cp", start, lambda text, share: None)
+    judged = evaluate(task, motion)
+    assert motion.position[0] == start and judged.feasible
+    assert 20.0e3 < judged.energy_cp < 1.02 * 20.05e3
+    assert motion.log == ("1 meshes, 20 points in the last, its error above the aim",)
 
 
 def test_the_table_is_relative_to_dp_and_marks_broken_limits():

@@ -1,7 +1,8 @@
 """Peers side by side: `python -m benchmarks.peers [--tasks ...] [--starts ...] [--pump ...] [--peers ...] [--limit S]`.
 
 A table for each task, start and pump. Every peer runs in a process of its own, on one thread, one after the other, and
-is stopped after a limit of processor time, so that other programs disturb little. What each peer is, and a run, is in docs/peers.md.
+is stopped after a limit of processor time, which other programs disturb little. What each peer is, and the tables of a
+run, are in docs/peers.md.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-import leanboom as lb
 from benchmarks.peers.roster import PEERS, absent
 from benchmarks.peers.table import Measured, lines
 
@@ -84,9 +84,7 @@ def main() -> None:
     parser.add_argument("--limit", type=int, default=LIMIT, help="processor time of one peer [s]")
     arguments = parser.parse_args()
     print("\n".join(f"{name}: {peer.what}" for name, peer in PEERS.items() if name in arguments.peers))
-    print(
-        f"each on one thread, stopped after {arguments.limit} s of the processor; (!): breaks a limit; leanboom {lb.__version__}"
-    )
+    print(f"each on one thread, stopped after {arguments.limit} s of the processor; (!): breaks a limit")
     for task in arguments.tasks:
         for start in arguments.starts:
             for pump in arguments.pump:

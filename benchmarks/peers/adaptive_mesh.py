@@ -190,14 +190,12 @@ def on_path(coefficients: np.ndarray, t: Any) -> list[list[Any]]:
 def as_motion(problem: Problem, solution: Any, phases: int, start: float, cost: str) -> Motion:
     """What maptor found, sampled on stages of `STEP`."""
     velocity = np.zeros_like(problem.time)
-    points = 0
     for number in range(1, phases + 1):
         found = solution.phases[number]
         begin, end = found["times"]["initial"], found["times"]["final"]
         edges = begin + 0.5 * (end - begin) * (np.asarray(found["mesh"]["mesh_nodes"]) + 1.0)
         degrees = found["mesh"]["polynomial_degrees"]
         values, first = solution[(number, "w")], 0
-        points += sum(degrees)
         for low, high, degree in zip(edges[:-1], edges[1:], degrees, strict=True):
             inside = (problem.time >= low - 1e-9) & (problem.time <= high + 1e-9)
             nodes = low + 0.5 * (high - low) * (collocation.radau(degree)[0] + 1.0)
@@ -205,5 +203,8 @@ def as_motion(problem: Problem, solution: Any, phases: int, start: float, cost: 
             velocity[inside] = polynomial(problem.time[inside])
             first += degree + 1  # neighbours both hold the point between them
     velocity[[0, -1]] = 0.0
-    text = f"{solution.adaptive['iterations']} refinements, {points} points in the last mesh"
+    sizes = solution.adaptive["benchmark"]["collocation_points"]
+    text = f"{len(sizes)} meshes, {sizes[-1]} points in the last"
+    if not solution.adaptive["converged"]:
+        text += ", its error above the aim"
     return motion.from_velocities(problem.step, start, velocity, METHOD, cost, log=(text,))
