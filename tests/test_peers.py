@@ -123,7 +123,7 @@ def test_paths_as_polynomials_are_the_paths(name):
 
 
 def test_maptor_plans_what_collocation_plans(monkeypatch):
-    """On one mesh, within 2 % of the optimum; neighbouring intervals of maptor's answer both hold their common point."""
+    """On one mesh a level, within 2 % of the optimum. Neighbouring intervals of its answer both hold their point."""
     pytest.importorskip("maptor")
     monkeypatch.setattr(adaptive_mesh, "MESHES", 1)
     task = load_task("forwarder-vertical", start="middle")

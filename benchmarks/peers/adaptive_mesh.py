@@ -1,7 +1,7 @@
 r"""maptor's adaptive pseudospectral mesh on the smoothed low-dimensional problem of `leanboom.collocation`.
 
 States c, w and control u of the redundant cylinder, c' = w, w' = u, least integral of the smoothed power plus
-`DAMPING` u^2, rows for the other cylinders' velocities and accelerations and for the joints' ranges. The crane is
+a damping of u^2, rows for the other cylinders' velocities and accelerations and for the joints' ranges. The crane is
 `leanboom.crane` on CasADi symbols, made one function of (t, c, w, u). maptor knows time as a symbol, so the path has to
 be one formula of it: every polynomial piece of the path is a phase, linked to the next.
 maptor solves, estimates each interval's error by integrating the dynamics with the control found, then raises
@@ -11,7 +11,7 @@ polynomial degrees or splits intervals until the error is below `ACCURACY`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from scipy.interpolate import BarycentricInterpolator, CubicSpline
 
 from leanboom import collocation, direct, kinematics, motion, pseudo_inverse, stages
 from leanboom import crane as cranes
+from leanboom.direct import Level
 from leanboom.errors import LeanboomError
 from leanboom.motion import Motion
 from leanboom.stages import Problem
@@ -29,11 +30,8 @@ STEP = 0.01  # [s], of the resulting motion
 INTERVAL, DEGREE = 1.5, 5  # first mesh: about how long its intervals are [s], degree of its polynomials
 ACCURACY, MESHES = 1e-6, 6  # relative error of the dynamics aimed at; meshes at most
 ITERATIONS = 600  # of IPOPT on a mesh
-SHARPNESS, MAXIMUM = (
-    200.0,
-    1.0,
-)  # s [s/m] and e [MPa^2] of `leanboom.direct`; from sharper costs IPOPT does not converge
-DAMPING = 1.0  # [kW s^4/m^2]
+# Solved one after the other, each from the one before; all but the last on the first mesh alone.
+LEVELS = (Level(200.0, 1.0, 1.0), Level(1000.0, 1.0, 0.1))
 
 Progress = Callable[[str, float], None]
 
@@ -68,7 +66,7 @@ def pieces(task: Task) -> list[Piece]:
 
 
 def plan(task: Task, cost: str, start: float, tell: Progress) -> Motion:
-    """The motion of maptor's last mesh.
+    """The motion of the last level that converged.
 
     Args:
         task: The task.
@@ -77,34 +75,60 @@ def plan(task: Task, cost: str, start: float, tell: Progress) -> Motion:
         tell: Called with what happens and the share done.
 
     Raises:
-        LeanboomError: If IPOPT does not converge on the first mesh: there is no motion then.
+        LeanboomError: If IPOPT does not converge on the first mesh of the first level: there is no motion then.
+    """
+    problem = stages.discretise(task, STEP)
+    best, log = None, []
+    for number, level in enumerate(LEVELS):
+        tell(str(level), number / len(LEVELS))
+        seed = best or pseudo_inverse.resolve(task, start, "actuator")
+        answer = solve(problem, cost, start, level, seed, MESHES if level is LEVELS[-1] else 1)
+        if isinstance(answer, str):
+            log.append(f"{level} not converged: {answer}")
+            break
+        best = answer
+        log = [*best.log]
+    if best is None:
+        raise LeanboomError(log[0])
+    return replace(best, log=("; ".join(log),))
+
+
+def solve(problem: Problem, cost: str, start: float, level: Level, seed: Motion, meshes: int) -> Motion | str:
+    """Solve a level of smoothing.
+
+    Args:
+        problem: The discretised task.
+        cost: "ls" or "cp".
+        start: Where the redundant cylinder starts [m].
+        level: The smoothing.
+        seed: The first guess.
+        meshes: Meshes at most.
+
+    Returns:
+        The motion of the last mesh; where IPOPT fails on the first, its status.
     """
     import maptor
 
-    problem = stages.discretise(task, STEP)
-    guess = pseudo_inverse.resolve(task, start, "actuator")
-    model = maptor.Problem(task.name)
-    parts = pieces(task)
+    model = maptor.Problem(problem.task.name)
+    parts = pieces(problem.task)
     total, before = 0.0, None
     for number, piece in enumerate(parts, 1):
-        last = number == len(parts)
-        integral, before = add_phase(model, number, problem, piece, cost, before or start, last, guess)
+        node = node_function(problem, piece, cost, level)
+        integral, before = add_phase(model, number, problem, piece, node, before or start, number == len(parts), seed)
         total = total + integral
     model.minimize(total)
-    tell("meshes", 0.0)
     options: dict[str, object] = {f"ipopt.{name}": value for name, value in direct.IPOPT.items()}
     options |= {"ipopt.max_iter": ITERATIONS, "print_time": False}
     solution = maptor.solve_adaptive(
-        model, error_tolerance=ACCURACY, max_iterations=MESHES,
-        nlp_options=options, show_summary=False,
-    )  # fmt: skip
+        model, error_tolerance=ACCURACY, max_iterations=meshes, nlp_options=options, show_summary=False
+    )
     if not solution.status["success"]:
-        raise LeanboomError(f"not converged: {solution.status['message'].rsplit('return_status is ')[-1]}")
+        return solution.status["message"].rsplit("return_status is ")[-1]
     return as_motion(problem, solution, len(parts), start, cost)
 
 
 def add_phase(
-    model: Any, number: int, problem: Problem, piece: Piece, cost: str, start: Any, last: bool, guess: Motion
+    model: Any, number: int, problem: Problem, piece: Piece, node: Any, start: Any, last: bool, guess: Motion
 ) -> tuple[Any, Any]:
     """Add a piece of the path to maptor's problem as a phase.
 
@@ -113,7 +137,7 @@ def add_phase(
         number: Number of the phase, from 1 on.
         problem: The discretised task.
         piece: The piece.
-        cost: "ls" or "cp".
+        node: From `node_function`.
         start: Where the redundant cylinder starts [m], or the two states of the phase before.
         last: Whether the path ends here, at rest.
         guess: The first guess.
@@ -130,7 +154,7 @@ def add_phase(
     w = phase.state("w", initial=first[1], final=0.0 if last else None, boundary=speed)
     u = phase.control("u", boundary=(-cylinder.acceleration_limit, cylinder.acceleration_limit))
     phase.dynamics({c: w, w: u})
-    power, rows = node_function(problem, piece, cost)(time(), c(), w(), u)
+    power, rows = node(time(), c(), w(), u)
     for i in range(rows.numel()):
         phase.path_constraints(rows[i] <= 1.0, rows[i] >= -1.0)
     count = max(1, int(round((piece.end - piece.begin) / INTERVAL)))
@@ -147,7 +171,7 @@ def add_phase(
     return phase.add_integral(power), (c, w)
 
 
-def node_function(problem: Problem, piece: Piece, cost: str) -> Any:
+def node_function(problem: Problem, piece: Piece, cost: str, level: Level) -> Any:
     """Smoothed power with damping [kW] and rows within [-1, 1], as a CasADi function of t, c, w, u."""
     import casadi as ca
 
@@ -169,7 +193,8 @@ def node_function(problem: Problem, piece: Piece, cost: str) -> Any:
         rows += [v / getattr(a, name) for v, a in zip(values[problem.moving][:-1], cylinders, strict=True)]
     for q, joint in zip(pose.q[:2], machine.joints[-3:-1], strict=True):
         rows.append((q - 0.5 * (joint.lower + joint.upper)) / (0.5 * (joint.upper - joint.lower)))
-    power = direct.smooth_power(crane, pose, state, cost, SHARPNESS, MAXIMUM) + DAMPING * u * u
+    power = direct.smooth_power(crane, pose, state, cost, level.sharpness, level.maximum)
+    power = power + level.damping * u * u
     return ca.Function("node", [t, c, w, u], [ca.cse(power), ca.cse(ca.vertcat(*rows))])
 
 
