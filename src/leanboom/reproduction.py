@@ -28,9 +28,10 @@ STEP = 0.05  # [s]
 POINTS = 601  # of a motion in its record, at most
 CLOSED_LOOP = ("driven_ls_j", "driven_cp_j", "accuracy_ls_m", "accuracy_cp_m")  # numbers of a record
 SOLVED = "solved"  # folder of the solutions
-# Modules that present results: their sources have no part in a solution.
-PRESENTING = (
-    "charts", "cli", "comparison", "experiments", "figures", "inspection", "jobs", "printed", "report",
+# Modules that present results or do what no experiment does: their sources have no part in a solution.
+APART = (
+    "bounds", "cells", "certificate", "charts", "cli", "comparison", "continuation", "enclosure", "experiments",
+    "figures", "horizon", "incumbent", "inspection", "jobs", "lookahead", "printed", "replanning", "report",
     "reproduction", "results", "runfolder", "simulation_page", "tables", "variations", "writing",
 )  # fmt: skip
 
@@ -147,7 +148,7 @@ def _sources() -> str:
     """A hash of the sources that solve."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.glob("*.py")):
-        if path.stem not in PRESENTING:
+        if path.stem not in APART:
             digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 

@@ -1,0 +1,60 @@
+"""One peer on one task in a process of its own: `python -m benchmarks.peers.child TASK START PUMP PEER LIMIT FILE`.
+
+Writes a `Measured` as JSON to the file, and lines `progress SHARE TEXT` to standard error. The time is that of the
+processor from the loaded task to the motion; imports and the loading of compiled kernels come before it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import resource
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+import leanboom as lb
+from benchmarks.peers.roster import PEERS
+from benchmarks.peers.table import Measured
+from leanboom import dp, stages
+
+
+def tell(text: str, share: float) -> None:
+    print(f"progress {share:.3f} {text}", file=sys.stderr, flush=True)
+
+
+def measure(name: str, start: str, pump: str, peer: str) -> Measured:
+    """Plan a task by a peer and judge the motion; a peer that finds none says why."""
+    task = lb.load_task(name, start=start)
+    for package in PEERS[peer].needs:
+        importlib.import_module(package)
+    dp.prepare()
+    first = dp.start_position(stages.discretise(task, 0.05), task.start)
+    if first is None:
+        return Measured(peer, remark="start = best; peers need smallest, middle or a length")
+    began = time.process_time()
+    try:
+        motion = PEERS[peer].solve(task, pump, first, tell)
+    except lb.LeanboomError as error:
+        return Measured(peer, time.process_time() - began, peak(), remark=str(error))
+    seconds, memory = time.process_time() - began, peak()
+    judged = lb.evaluate(task, motion)
+    status = motion.status if motion.status.startswith("not converged") else judged.status
+    remark = "; ".join([status, *(motion.log if len(motion.log) == 1 else ())])
+    return Measured(peer, seconds, memory, judged.energy(pump), judged.limit_use.worst, judged.feasible, remark)
+
+
+def peak() -> int:
+    """The most memory this process has taken [bytes]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def main() -> None:
+    name, start, pump, peer, limit, file = sys.argv[1:]
+    resource.setrlimit(resource.RLIMIT_CPU, (int(limit), resource.RLIM_INFINITY))  # SIGXCPU ends the process
+    Path(file).write_text(json.dumps(asdict(measure(name, start, pump, peer))), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
