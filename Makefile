@@ -42,7 +42,7 @@ test: lint ## Run all checks and tests
 ifneq ($(KERNEL_TESTS),)
 	@NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -q $(KERNEL_TESTS)
 endif
-	@$(BIN)/python -m pytest -q
+	@$(BIN)/python -m pytest -q --numprocesses 2 --dist worksteal
 
 lint: $(READY) ## Check format, style, types and layers
 	@$(BIN)/ruff format --quiet --check || { echo "Run: $(BIN)/ruff format" >&2; exit 1; }
@@ -52,6 +52,7 @@ lint: $(READY) ## Check format, style, types and layers
 
 bench: $(READY) ## Measure time, memory and energy
 	@$(BIN)/python -m benchmarks.run
+	@$(BIN)/python -m benchmarks.speed
 
 lock: $(READY) ## Renew requirements.lock (needs uv)
 	@uv --quiet pip compile pyproject.toml --group tests --group dev --universal --fork-strategy fewest \

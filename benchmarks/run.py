@@ -1,7 +1,8 @@
 """Everything the README's table states, measured side by side in one run: `make bench`.
 
 Sections: machine, start-up, speed of the sweep against Algorithm 1, planning time and memory, energies of every
-method on every bundled task, start and pump, order of convergence, independence of the number of threads.
+method on every bundled task, start and pump, speed of the closed-loop simulation, order of convergence, independence
+of the number of threads.
 `--quick` leaves out the energy matrix; `--algorithm-1` adds whole runs of dp-paper (minutes).
 """
 
@@ -200,6 +201,26 @@ def convergence() -> None:
     print(f"order (slope of log error over log spacing): {order:.2f}")
 
 
+def simulation() -> None:
+    title("Closed-loop simulation, warm, one thread")
+    for name in ("forwarder-half-cycle", "loader-triangle-large"):
+        task = lb.load_task(name)
+        motion = planner.run(task, method="sns-actuator", baseline=False).motion
+        began = time.perf_counter()
+        lb.simulate(task, motion, "ls")
+        first = time.perf_counter() - began
+        for pump in ("ls", "cp"):
+            runs = sorted((lb.simulate(task, motion, pump) for _ in range(3)), key=lambda run: run.wall_s)
+            run = runs[1]
+            print(
+                f"{name}, {pump}: {run.time[-1]:.0f} s in {run.wall_s:.2f} s ({runs[0].wall_s:.2f} to "
+                f"{runs[2].wall_s:.2f}), {run.realtime_factor:.0f} times real time; {run.energy / 1e3:.2f} kJ (planned "
+                f"{run.planned_energy / 1e3:.2f}), path accuracy {run.path_accuracy:.3f} m, balance error "
+                f"{100 * run.balance_error:.5f} %"
+            )
+        print(f"{name}: first run of a process, plant built and valve measured: {first:.2f} s")
+
+
 def threads() -> None:
     title("Same bits on one and two threads")
     problem = stages.discretise(lb.load_task("forwarder-vertical"), 0.05)
@@ -226,6 +247,7 @@ def main() -> None:
     sweep_speed()
     planning()
     vertical()
+    simulation()
     convergence()
     threads()
     if not arguments.quick:

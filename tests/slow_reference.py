@@ -94,13 +94,16 @@ def power(small: Small, k: int, row: np.ndarray, w: float, u: np.ndarray) -> np.
         asked = np.where(v[i] > 0.0, extending, retracting)
         counts = (np.abs(v[i]) > s[kernels.EPSILON]) & (force * v[i] > 0.0)
         pressure = np.where(counts, np.maximum(pressure, asked), pressure)
+    supply = pressure + s[kernels.MARGIN] if small.cost == "ls" else np.full(u.shape, s[kernels.SUPPLY_CP])
+    pump = supply * flow / s[kernels.EFFICIENCY] + s[kernels.LEAK] * supply
+    pump += s[kernels.IDLE] + s[kernels.DRAG] * flow**2
     answers = {
-        "ls": (pressure + s[kernels.MARGIN]) * flow / s[kernels.EFFICIENCY],
-        "cp": s[kernels.SUPPLY_CP] * flow / s[kernels.EFFICIENCY],
+        "ls": pump,
+        "cp": pump,
         "actuator": work,
         "velocity": (v * v).sum(axis=0),
         "extension": np.full(u.shape, w * w),
-        "recuperation": s[kernels.SUPPLY_CP] * flow / s[kernels.EFFICIENCY],
+        "recuperation": pump,
     }
     return answers[small.cost] + small.stage[k, kernels.FIXED_COST]
 

@@ -119,7 +119,7 @@ def test_plan_tells_people_energies_saving_limits_and_assumptions(calls, planned
     saving = f"{mine / 1e3:.2f} {theirs / 1e3:.2f} {100 * (1 - mine / theirs):.1f} %"
     assert f"load-sensing pump (chosen) {saving}" in text
     assert "Limits all kept" in text
-    assert "52 of 111 machine values are assumed (leanboom check forwarder)." in text
+    assert "61 of 122 machine values are assumed (leanboom check forwarder)." in text
 
 
 def test_plan_writes_a_run_folder(calls, tmp_path):
@@ -249,7 +249,7 @@ def test_check_counts_where_values_come_from():
     text = words(result.stdout)
     assert result.exit_code == 0
     assert "forwarder: machine forwarder is right." in text
-    assert "printed 51 derived 8 identified 0 assumed 52 unstated 0" in text
+    assert "printed 52 derived 9 identified 0 assumed 61 unstated 0" in text
     assert "cylinders.tilt.linkage.L22 0.181 m proportions of two comparable cranes" in text
 
 
@@ -313,3 +313,67 @@ def test_control_characters_of_file_names_are_not_printed():
     result = leanboom("check", "\x1b[31mred")
     assert result.exit_code == 2
     assert "\x1b" not in result.stderr
+
+
+SIMULATED = [
+    "task", "pump", "method", "energy_j", "planned_energy_j", "path_accuracy_m", "balance_error", "wall_s",
+    "realtime_factor", "events", "out",
+]  # fmt: skip
+
+
+def test_simulate_prints_json_and_nothing_else(calls):
+    result = leanboom("simulate", "forwarder-vertical", "--json")
+    assert result.exit_code == 0, result.stderr
+    found = json.loads(result.stdout)
+    assert list(found) == SIMULATED
+    assert found["out"] is None and found["pump"] == "ls"
+    assert calls[0][1]["method"] == "dp"
+
+
+def test_simulate_adds_to_a_run_folder_and_tells_people(calls, tmp_path):
+    out = tmp_path / "run"
+    assert leanboom("plan", "forwarder-vertical", "--out", str(out)).exit_code == 0
+    result = leanboom("simulate", str(out), "--pump", "cp")
+    assert result.exit_code == 0, result.stderr
+    assert "kJ simulated" in result.stdout and "simulation.html" in result.stdout
+    kept = json.loads((out / "simulation.json").read_text(encoding="utf-8"))
+    assert list(kept) == SIMULATED and kept["pump"] == "cp" and kept["out"] == str(out)
+    assert (out / "report.html").is_file()
+    again = leanboom("simulate", str(out), "--out", str(tmp_path / "other"), "--json")
+    assert json.loads(again.stdout)["pump"] == "ls"  # what the folder was planned for
+    assert (tmp_path / "other" / "trajectory.csv").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("forwarder-vertical", "--pump", "gas"), "pump = gas; must be one of ls, cp"),
+        (("nowhere",), "must be a file or a bundled task"),
+        ((".", "--method", "dp"), "leave --method out"),
+        ((".",), "is not a run folder"),
+    ],
+)
+def test_simulate_refuses_bad_input(calls, arguments, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = leanboom("simulate", *arguments)
+    assert result.exit_code == 2
+    assert message in words(result.stderr)
+    assert result.stdout == ""
+
+
+def test_an_incomplete_simulation_is_kept_and_exits_with_1(calls, tmp_path, monkeypatch):
+    from leanboom import integrator
+
+    advance = integrator.Integrator.advance
+
+    def stuck(self, sample):
+        if self._step < 0.005:  # the controller's table is measured in longer ones
+            raise integrator.SolverError("the solver gave up: it was told to")
+        return advance(self, sample)
+
+    monkeypatch.setattr(integrator.Integrator, "advance", stuck)
+    result = leanboom("simulate", "forwarder-vertical", "--out", str(tmp_path / "run"), "--json")
+    assert result.exit_code == 1
+    assert json.loads(result.stdout)["events"][-1]["kind"] == "solver"
+    assert "incomplete: the solver gave up" in result.stderr
+    assert (tmp_path / "run" / "simulation.html").is_file()

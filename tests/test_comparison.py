@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 import leanboom as lb
-from leanboom import cli, comparison, figures, jobs, motion, planner, runfolder
+from leanboom import cli, comparison, figures, jobs, motion, planner, runfolder, tables
 from leanboom.comparison import Entry
 from leanboom.errors import InputError, LeanboomError
 from leanboom.experiments import EXPERIMENTS
@@ -40,7 +42,7 @@ def faked(monkeypatch, task):
     asked = []
 
     def solve(job):
-        one, entry, pumps = job
+        one, entry, pumps, _ = job
         asked.append(job)
         fate = FATES[entry.label]
         if isinstance(fate, Exception):
@@ -94,7 +96,7 @@ def test_feasible_rows_lead_by_energy_then_broken_ones_then_failures(faked, task
 
 def test_one_solution_serves_both_pumps(faked, task):
     lb.compare(task, methods=["dp:ls"])
-    assert [(entry.label, pumps) for _, entry, pumps in faked] == [("dp (ls)", ("ls", "cp"))]
+    assert [(entry.label, pumps) for _, entry, pumps, _ in faked] == [("dp (ls)", ("ls", "cp"))]
 
 
 def test_a_failed_method_is_a_row_without_numbers(faked, task):
@@ -202,11 +204,37 @@ def test_solving_calls_the_planner_as_plan_does(monkeypatch, task):
         return lb.Plan(one, "ls", judged.motion, judged, None, 7)
 
     monkeypatch.setattr(comparison.planner, "run", run)
-    found, made = comparison.solve((task, Entry("sns-joint", "joint-velocity"), ("ls", "cp")))
+    found, made = comparison.solve((task, Entry("sns-joint", "joint-velocity"), ("ls", "cp"), False))
     assert called == [{"pump": "ls", "cost": None, "method": "sns-joint", "baseline": False}]
     assert made is judged.motion
     assert found["cp"]["energy_j"] == judged.energy_cp and found["ls"]["energy_j"] == judged.energy_ls
     assert found["ls"]["cost"] == "joint-velocity"
+
+
+def test_a_simulated_comparison_has_the_closed_loops_energy_beside_the_plans(monkeypatch, task):
+    judged = lb.evaluate(task, motion.from_velocities(0.1, 0.6713, np.zeros(61), "sns-joint", "ls"))
+    monkeypatch.setattr(comparison.planner, "run", lambda one, **_: lb.Plan(one, "ls", judged.motion, judged, None, 7))
+    found, made = comparison.solve((task, Entry("sns-joint", "joint-velocity"), ("ls", "cp"), True))
+    for pump in ("ls", "cp"):
+        run = lb.simulate(task, made, pump)
+        assert found[pump]["simulated_energy_j"] == run.energy
+        assert found[pump]["simulated_path_accuracy_m"] == run.path_accuracy
+    row = comparison.Row(Entry("sns-joint", "joint-velocity"), "ls", "smallest", found["ls"], made)
+    text = io.StringIO()
+    tables.comparison(Console(file=text, width=160), comparison.Comparison(task, ("ls",), ("smallest",), (row,)), None)
+    assert "simulated" in text.getvalue() and f"{row.simulated / 1e3:.2f}" in text.getvalue()
+
+
+def test_a_motion_out_of_reach_is_not_simulated(monkeypatch, task):
+    far = lb.evaluate(task, motion.from_velocities(0.1, 5.0, np.zeros(61), "sns-joint", "ls"))
+    monkeypatch.setattr(comparison.planner, "run", lambda one, **_: lb.Plan(one, "ls", far.motion, far, None, 7))
+    found, _ = comparison.solve((task, Entry("sns-joint", "joint-velocity"), ("ls",), True))
+    assert found["ls"]["simulated_energy_j"] is None and found["ls"]["simulated_path_accuracy_m"] is None
+
+
+def test_a_failed_method_is_not_simulated(faked, task):
+    (row,) = lb.compare(task, "ls", methods=["shooting:ls"], simulate=True).rows
+    assert tuple(row.summary) == (*runfolder.KEYS, *comparison.SIMULATED) and row.simulated is None
 
 
 def test_a_program_that_did_not_converge_is_no_result(monkeypatch, task):
@@ -214,7 +242,7 @@ def test_a_program_that_did_not_converge_is_no_result(monkeypatch, task):
     judged = lb.evaluate(task, still)
     monkeypatch.setattr(comparison.planner, "run", lambda one, **_: lb.Plan(one, "ls", still, judged, None, 7))
     with pytest.raises(LeanboomError, match=r"^not converged: Restoration_Failed$"):
-        comparison.solve((task, Entry("shooting", "ls"), ("ls",)))
+        comparison.solve((task, Entry("shooting", "ls"), ("ls",), False))
 
 
 def test_a_real_comparison(task):

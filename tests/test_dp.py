@@ -53,6 +53,7 @@ def toy(cost: str, spacing: float, a0=None, terminal=None, *, step=0.1, count=10
     setting = np.ones(kernels.SETTINGS)
     setting[[kernels.STEP, kernels.COST]] = step, COSTS[cost]
     setting[[kernels.SLOPE_C, kernels.SLOPE_W, kernels.SLOPE_V, kernels.SLOPE_A]] = 1e3
+    setting[[kernels.IDLE, kernels.LEAK, kernels.DRAG]] = 0.0
     c, w = np.linspace(-half_c, half_c, positions), np.linspace(-half_w, half_w, velocities)
     last = np.zeros((positions, velocities)) if terminal is None else terminal(c[:, None], w[None, :])
     values = np.empty((count + 1, positions, velocities))

@@ -24,7 +24,7 @@ from leanboom.files import (
     load_task,
 )
 from leanboom.linkages import cylinder
-from leanboom.machine import Connection, MobileValve, Polynomial
+from leanboom.machine import METERING, Connection, MobileValve, Polynomial
 from leanboom.source import MAX_BYTES, parse
 from leanboom.task import Lines, Spline, sample
 from leanboom.units import KINDS, write
@@ -35,7 +35,8 @@ FORWARDER = (PACKAGE / "machines/forwarder.yaml").read_text()
 HALF_CYCLE = (PACKAGE / "tasks/forwarder-half-cycle.yaml").read_text()
 TRIANGLE = (PACKAGE / "tasks/loader-triangle-large.yaml").read_text()
 TOP_KEYS = (
-    "name, description, geometry, joints, cylinders, bodies, payload, valve, pump, driven_velocity, dynamics, gravity"
+    "name, description, geometry, joints, cylinders, bodies, payload, valve, pump, driven_velocity, dynamics, "
+    "simulation, gravity"
 )
 CYLINDER_KEYS = (
     "bore, rod, plunger, racks, piston_area, rod_side_area, stroke, linkage, connection, friction, velocity_limit, "
@@ -512,7 +513,8 @@ BAD_MACHINES = {
             "85: cylinders.extension.stroke = 1.5 m; must be 1.8500 m within 2 %, the change of the cylinder's length "
             "over joints.extension = [0, 3.7] m",
             "100: bodies.column.mass = -1 kg; must be above 0",
-            "121: pump.efficiency is missing; must be a number above 0 and at most 1, such as 0.5",
+            "121: pump.efficiency is missing; must be a number above 0 and at most 1, such as 0.5, or a mapping with "
+            "the keys speed, speeds, displacements, pressures, total",
             "127: pump.efficency is not a key here; valid keys: constant_pressure, ls_margin, max_pressure, max_flow, "
             "tank_pressure, efficiency; did you mean efficiency?",
         ],
@@ -824,3 +826,26 @@ def test_the_examples_of_the_documentation_load(tmp_path):
     assert (crane.name, crane.pump.efficiency, crane.pump.ls_margin) == ("yard-crane", 0.85, 2e6)
     unload = load_task(written(tmp_path, task, "unload.yaml"))
     assert (unload.machine, unload.start, unload.smooth) == (crane, "best", 5.0)
+
+
+def test_what_a_machine_says_of_the_simulation_counts_and_the_rest_follows_its_valve(tmp_path):
+    text = dump_machine(load_machine("loader"))
+    head, tail = text.split("simulation:\n")
+    tail = tail.split("\n\n", 1)[1]
+    bare = load_machine(Path(written(tmp_path, head + tail)))
+    assert bare.circuit == METERING
+    assert "simulation:" not in dump_machine(bare)
+    some = f"{head}simulation:\n  delay: 20 ms  # identified: step of the valve\n  dead_zone: 4 %\n\n{tail}"
+    machine = load_machine(Path(written(tmp_path, some)))
+    assert machine.circuit == replace(METERING, delay=0.02, dead_zone=0.04)
+    assert "  delay: 20 ms  # identified: step of the valve\n" in dump_machine(machine)
+    changed = replace(machine, circuit=replace(machine.circuit, bulk_modulus=1.2e9))
+    assert load_machine(Path(written(tmp_path, dump_machine(changed)))).circuit == changed.circuit
+
+
+def test_problems_of_the_simulation_are_named(tmp_path):
+    text = dump_machine(load_machine("forwarder"))
+    text = text.replace("dead_zone: 53 %", "dead_zone: 95 %").replace("dead_volume: 1 l", "dead_volume: 1 m")
+    found = " ".join(problems(load_machine, written(tmp_path, text)))
+    assert "simulation.dead_zone = 95 %; must be from 0 to 0.9" in found
+    assert "simulation.dead_volume = 1 m; must be a finite volume, such as 1.5 l" in found

@@ -264,8 +264,8 @@ def test_a_pump_gives_at_least_the_work_its_cylinder_does(v, F):
 
 def test_pump_power():
     """20 MPa x 60 l/min = 20 kW at the pump, 25 kW with an efficiency of 0.8."""
-    assert hydraulics.pump_power(20e6, 1e-3, 1.0) == pytest.approx(20e3)
-    assert hydraulics.pump_power(20e6, 1e-3, 0.8) == pytest.approx(25e3)
+    assert hydraulics.pump_power(20e6, 1e-3, 1.0, 0.0, 0.0, 0.0) == pytest.approx(20e3)
+    assert hydraulics.pump_power(20e6, 1e-3, 0.8, 0.0, 0.0, 0.0) == pytest.approx(25e3)
 
 
 @given(v=st.floats(-0.4, 0.4), F=FORCE)

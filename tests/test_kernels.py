@@ -51,7 +51,7 @@ def problem(seed: int, cost: str, *, stages=3, positions=5, velocities=7, prescr
                0.3 + 0.4 * rng.random(MOVING), a, b]  # fmt: skip
     cylinder[:] = np.array(columns).T
     cylinder[:, kernels.A_MAX] *= rng.choice([0.2, 1.0])  # every other problem: limits that may exclude each other
-    setting = np.array([0.1, COSTS[cost], 0.002, 2e7, 2e6, 0.8, 4e3, 5e2, 6e2, 7e1])
+    setting = np.array([0.1, COSTS[cost], 0.002, 2e7, 2e6, 0.8, 4e3, 5e2, 6e2, 7e1, 3e2, 4e-5, 5e8])
     c = np.linspace(0.0, 1.0, positions)[:, None]
     w = np.linspace(-1.0, 1.0, velocities)[None, :]
     terminal = 200.0 * (rng.normal() * c + rng.normal() * w + np.abs(w) + 0.5 * np.sin(3.0 * c + w))
@@ -179,7 +179,7 @@ def test_the_pressure_of_prescribed_cylinders_is_used_up_but_not_exceeded():
     stage[:, [kernels.DC, kernels.W_LO, kernels.DW, kernels.FIXED_PRESSURE]] = 1.0, -1.0, 1.95, 2e6
     cylinder = np.zeros((1, kernels.CYLINDER_COLUMNS))
     cylinder[0, [kernels.AREA_OUT, kernels.GAIN_OUT, kernels.V_MAX, kernels.A_MAX]] = 0.01, 100.0, 1.0, 1.0
-    setting = np.array([0.1, COSTS["ls"], 0.002, 2e7, 3e6, 1.0, 0.0, 0.0, 0.0, 0.0])
+    setting = np.array([0.1, COSTS["ls"], 0.002, 2e7, 3e6, 1.0, *[0.0] * 7])
     ahead = -100.0 * np.array([[-1.0, 0.95], [-1.0, 0.95]])
     value, u = best_of_one(row, 0.0, 0.5, 0.1, 0, stage, cylinder, setting, ahead)
     assert u == pytest.approx(0.2, abs=1e-9)
@@ -283,7 +283,7 @@ def test_value_of_a_problem_worked_out_by_hand():
     stage[:, kernels.DC], stage[:, kernels.W_LO], stage[:, kernels.DW] = 100.0, -2.0, 1.0
     cylinder = np.ones((1, kernels.CYLINDER_COLUMNS))
     cylinder[0, [kernels.V_MAX, kernels.A_MAX]] = 10.0, 1.0
-    setting = np.array([1.0, COSTS["cp"], 0.0, 3.0, 0.0, 1.0, 0.0, 100.0, 100.0, 100.0])
+    setting = np.array([1.0, COSTS["cp"], 0.0, 3.0, 0.0, 1.0, 0.0, 100.0, 100.0, 100.0, 0.0, 0.0, 0.0])
     terminal = 100.0 * np.abs(np.arange(-2.0, 3.0))[None, :].repeat(2, axis=0)
     small = Small(row, np.zeros((3, 2)), stage, cylinder, setting, terminal, "cp")
     # From 2 m/s the deceleration of 1 m/s^2 takes both stages: 3 (2 + 1) J. From 1 m/s one: 3 J, then at rest.
@@ -423,3 +423,15 @@ def test_stage_cost_on_a_node_is_the_cost_by_the_crane_formulas(name, cost):
         }[cost]
         assert value == pytest.approx(problem.step * wanted, rel=1e-6, abs=1e-6)
     assert counted > 25
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_motion_that_runs_away_stays_on_the_grid(bad):
+    """Indices come from clamped numbers alone: with bounds checked, anything else raises here."""
+    small = problem(3, "ls")
+    values = swept(small)
+    count = small.stages + 1
+    position, velocity, control = np.zeros(count), np.zeros(count), np.zeros(count - 1)
+    kernels.rollout(*small.arrays, values, np.array([bad, 0.0]), 0, position, velocity, control)
+    assert not np.isfinite(position).any()
+    assert not np.isfinite(at(small, values[1], 1, bad, 0.0))

@@ -11,6 +11,7 @@ import pytest
 from leanboom import dp, motion, polish, pseudo_inverse, stages
 from leanboom.files import load_task
 from leanboom.judge import evaluate, judged_cost
+from leanboom.machine import EfficiencyMap
 from leanboom.objective import COSTS
 from leanboom.task import Lines, Task
 
@@ -21,6 +22,12 @@ TASKS = {
         load_task("loader-triangle-small"), start="middle", path=Lines(((2.6, 0.0, 0.5), (3.2, 0.0, 1.1667)), (6.0,))
     ),
 }
+LEVELS = (10e6, 20e6)  # [Pa]
+MAP = EfficiencyMap(30.0, (30.0,), (10e-6, 40e-6), LEVELS, (((0.7, 0.74), (0.84, 0.87)),))
+TASKS["mapped"] = replace(
+    TASKS["vertical"],
+    machine=replace(TASKS["vertical"].machine, pump=replace(TASKS["vertical"].machine.pump, efficiency=MAP)),
+)
 
 
 class Spy:
@@ -101,7 +108,12 @@ def close(found, wanted):
 
 
 @pytest.mark.parametrize(
-    ("name", "cost"), [*(("vertical", cost) for cost in COSTS), ("slewing", "ls"), ("loader", "ls"), ("loader", "cp")]
+    ("name", "cost"),
+    [
+        *(("vertical", cost) for cost in COSTS),
+        *(("slewing", "ls"), ("loader", "ls"), ("loader", "cp")),
+        *(("mapped", cost) for cost in ("ls", "cp", "recuperation")),
+    ],
 )
 def test_assembled_derivatives_equal_finite_differences(name, cost):
     """Gradient, Jacobian and Hessian are scattered from one stage function; every entry is looked at."""
@@ -167,7 +179,7 @@ def test_same_modes_need_every_switch_to_agree():
 
 
 @pytest.mark.parametrize(
-    ("name", "cost"), [("vertical", "ls"), ("vertical", "cp"), ("slewing", "ls"), ("loader", "cp")]
+    ("name", "cost"), [("vertical", "ls"), ("vertical", "cp"), ("slewing", "ls"), ("loader", "cp"), ("mapped", "ls")]
 )
 def test_answer_keeps_dynamics_limits_and_ends_and_costs_what_the_solver_says(name, cost):
     """The judge's 2 ms and the trapezoid between stages differ by what switches inside an interval cost: 4 %."""

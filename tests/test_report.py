@@ -85,7 +85,7 @@ def test_the_summary_states_energies_and_saving(plan, page):
 
 
 def test_assumed_values_are_called_assumed(page):
-    assert "52 of 111 machine values are assumed." in page
+    assert "61 of 122 machine values are assumed." in page
     assert "cylinders › tilt › linkage › L22" in page
     assert "proportions of two comparable cranes" in page
 

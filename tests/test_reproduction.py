@@ -21,6 +21,7 @@ def record(job):
     energy = (1.0 if job.method == "dp" else 1.5) * (1.0 if job.cost in ("ls", "cp") else 1.2) * 1e4
     energy *= sum(body.mass for body in job.task.machine.bodies)
     numbers = {"energy_ls_j": energy, "energy_cp_j": 2.0 * energy, "flow_m3": 1e-6 * energy, "pressure_pa": 1e7}
+    numbers |= {"driven_ls_j": 1.1 * energy, "driven_cp_j": 2.2 * energy, "accuracy_ls_m": 0.1, "accuracy_cp_m": 0.05}
     status = "acceleration of tilt is 1.0 m/s^2" if job.method.startswith("sns") else "solved"
     return {"status": status, **numbers, "solve_s": 1.0, "cpu_s": 1.0, **EMPTY}
 
@@ -55,8 +56,44 @@ def test_printed_tables_are_those_of_the_paper():
         ("DP (CP)", 1.201), ("DP (Act. velocity)", 1.247), ("Act. p-inv. (Unweighted)", 1.259),
         ("Act. p-inv. (Weighted)", 1.413),
     ]  # fmt: skip
+    assert [row.full for row in printed.TABLE2] == [1.0, 1.002, 1.06, 1.086, 1.098, 1.124, 1.163, 1.308]
+    assert [row.full for row in printed.TABLE3] == [1.0, 1.012, 1.027, 1.05, 1.083, 1.135, 1.154, 1.293]
     assert printed.EXCESS == {("horizontal", "ls"): 1.25, ("horizontal", "cp"): 1.3, ("vertical", "ls"): 2.0}
     assert printed.TILT_ROD["flow"] == {"large": -5.0, "medium": -4.0, "small": -4.0}
+
+
+def test_printed_path_errors_are_those_of_table_4():
+    """Sums of its columns, added up off the paper; every solution has its two errors on every path."""
+    assert {path for path, _ in printed.TABLE4} == {"horizontal", "vertical", "half-cycle"}
+    for path, sums in {
+        "horizontal": (0.685, 0.558), "vertical": (0.714, 0.706), "half-cycle": (2.118, 1.265)
+    }.items():  # fmt: skip
+        columns = [errors for (one, _), errors in printed.TABLE4.items() if one == path]
+        assert len(columns) == 8
+        assert [sum(column) for column in zip(*columns, strict=True)] == pytest.approx(sums)
+    assert set(name for _, name in printed.TABLE4) == {row.name for row in printed.SOLUTIONS}
+
+
+def test_path_errors_stand_beside_table_4(solved, tmp_path):
+    result = reproduction.reproduce(["tracking"], tmp_path)
+    assert len(result.lines) == 2 * len(printed.TABLE4)
+    by_row = {line.row: line for line in result.lines}
+    line = by_row["half-cycle, LS: DP (CP) [m]"]
+    assert (line.printed, line.ours) == (0.346, 0.1) and line.why
+    assert by_row["half-cycle, CP: DP (LS) [m]"].ours == 0.05
+    assert all(job.driven and job.task.start == "smallest" for job in solved)
+
+
+def test_sweeps_are_not_driven():
+    assert not any(job.driven for name, job in EXPERIMENTS["fig8"].jobs().items() if name != "plan")
+    assert EXPERIMENTS["table2"].jobs()["DP (CP)"].driven
+
+
+def test_solving_drives_the_motion_in_closed_loop():
+    job = EXPERIMENTS["vertical"].jobs()["smallest, P-inv. (j.)"]
+    found = reproduction.solve(job)
+    assert 0.0 < found["accuracy_ls_m"] < 0.35 and 0.0 < found["accuracy_cp_m"] < 0.35
+    assert 0.5 < found["driven_cp_j"] / found["energy_cp_j"] < 1.2
 
 
 def test_every_job_is_one_that_can_be_solved():
@@ -161,7 +198,9 @@ def test_all_lines_and_the_page_can_be_made(solved, tmp_path):
 def test_the_command_prints_json_and_writes_the_page(solved, tmp_path):
     answer = leanboom("reproduce", "table2", "--json", "--out", str(tmp_path))
     assert answer.exit_code == 0
-    assert [row["row"] for row in json.loads(answer.stdout)] == [row.name for row in printed.TABLE2]
+    assert [row["row"] for row in json.loads(answer.stdout)] == [
+        *(row.name for row in printed.TABLE2), *(f"{row.name} (full model)" for row in printed.TABLE2)
+    ]  # fmt: skip
     page = (tmp_path / "results.md").read_text()
     assert "| DIDO (CP) | 1.003 |" in page and "Table 3" not in page
     assert (tmp_path / "figures" / "table2.png").read_bytes().startswith(b"\x89PNG")

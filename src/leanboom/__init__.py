@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from leanboom.certificate import Certificate, certify
     from leanboom.comparison import Comparison, compare
     from leanboom.continuation import Continuation
     from leanboom.errors import InfeasibleError, InputError, LeanboomError
@@ -22,20 +23,24 @@ if TYPE_CHECKING:
     from leanboom.motion import Motion
     from leanboom.planner import Plan, plan, run
     from leanboom.replanning import replan
+    from leanboom.simulation import Simulation, simulate
     from leanboom.task import Task
 
 __version__ = "0.1.0"
 
 _HOME = {
+    "Certificate": "certificate", "certify": "certificate",
     "Comparison": "comparison", "compare": "comparison",
     "Continuation": "continuation",
     "Evaluation": "judge", "InfeasibleError": "errors", "InputError": "errors", "LeanboomError": "errors",
-    "Machine": "machine", "Motion": "motion", "Plan": "planner", "Task": "task", "bundled_machines": "files",
-    "bundled_tasks": "files", "evaluate": "judge", "load_machine": "files", "load_task": "files",
-    "plan": "planner", "plan_receding": "horizon", "replan": "replanning", "run": "planner",
+    "Machine": "machine", "Motion": "motion", "Plan": "planner", "Simulation": "simulation", "Task": "task",
+    "bundled_machines": "files", "bundled_tasks": "files", "evaluate": "judge", "load_machine": "files",
+    "load_task": "files", "plan": "planner", "plan_receding": "horizon", "replan": "replanning", "run": "planner",
+    "simulate": "simulation",
 }  # fmt: skip
 
 __all__ = [
+    "Certificate",
     "Comparison",
     "Continuation",
     "Evaluation",
@@ -45,9 +50,11 @@ __all__ = [
     "Machine",
     "Motion",
     "Plan",
+    "Simulation",
     "Task",
     "bundled_machines",
     "bundled_tasks",
+    "certify",
     "compare",
     "evaluate",
     "load_machine",
@@ -56,6 +63,7 @@ __all__ = [
     "plan_receding",
     "replan",
     "run",
+    "simulate",
 ]
 
 

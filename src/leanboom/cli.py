@@ -1,4 +1,4 @@
-"""The command line: `leanboom plan`, `compare`, `reproduce`, `check`, `machines`, `tasks`.
+"""The command line: `leanboom plan`, `certify`, `simulate`, `compare`, `reproduce`, `check`, `machines`, `tasks`.
 
 Results go to standard output, for people as tables and with `--json` as one object and nothing else; progress and
 problems go to standard error. Exit codes: 0 done, 1 no feasible motion, 2 bad input, 130 interrupted. Whatever a
@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from leanboom.errors import InputError, LeanboomError
+from leanboom.errors import InfeasibleError, InputError, LeanboomError
 
 INTERRUPTED = 130  # exit code of a process ended by Ctrl-C
 PATIENCE = 1.0  # [s], a command that takes longer says what it does
@@ -110,6 +110,10 @@ def plan(
         Path | None,
         typer.Option(metavar="DIR", help="Write a run folder: report, trajectory, task, machine and summary."),
     ] = None,
+    certified: Annotated[
+        bool,
+        typer.Option("--certify", help="Prove how far from the optimum the plan can be (a minute; see certify)."),
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Plan the motion that takes the least pump energy."""
@@ -126,15 +130,118 @@ def plan(
         if out is not None:
             tell("writing the run folder", 1.0)
             runfolder.write(result, out, nodes)
+        proof = None
+        if certified and result.evaluation.feasible:
+            from leanboom import certificate
+
+            proof = certificate.certify(asked, pump, motion=result.motion, step=seconds, progress=tell)
     if as_json:
-        _print_json(runfolder.summary(result, out))
+        _print_json(runfolder.summary(result, out) | ({} if proof is None else proof.json()))
     else:
         from leanboom import tables
 
         source = asked.machine.name if task in files.bundled_tasks() else task
         tables.plan(tables.output(), result, out, source)
+        if proof is not None:
+            from leanboom import proofs
+
+            proofs.certificate(tables.output(), proof)
     if not result.evaluation.feasible:
         _complain(result.evaluation.status)
+        raise typer.Exit(1)
+
+
+@app.command()
+def certify(
+    task: Annotated[str, typer.Argument(metavar="TASK", help="A bundled task (see: leanboom tasks) or a task file.")],
+    pump: Annotated[
+        Literal["ls", "cp"], typer.Option(help="Whose energy counts: load-sensing or constant-pressure pump.")
+    ] = "ls",
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WHERE",
+            help="Where the extension starts: smallest, middle, best, or a length such as '0.45 m'. "
+            "By default what the task says.",
+        ),
+    ] = None,
+    step: Annotated[str, typer.Option(metavar="TIME", help="Length of a stage, in seconds.")] = "0.05",
+    seconds: Annotated[str, typer.Option(metavar="TIME", help="Time for bounding; planning comes on top.")] = "60 s",
+    gap: Annotated[float, typer.Option(metavar="PERCENT", help="Gap at which bounding ends.")] = 0.5,
+    as_json: Json = False,
+) -> None:
+    """Plan a task and prove how far from the optimum the plan can be."""
+    _, stage = _settings("201x101", step)
+    from leanboom import certificate, files, planner, runfolder
+
+    limit = _time("seconds", seconds)
+    certificate.check(pump, stage, limit, gap)
+    asked = files.load_task(task, start=start)
+    with _Progress() as tell:
+        result = planner.run(asked, pump=pump, step=stage, baseline=False, progress=tell)
+        if not result.evaluation.feasible:
+            raise InfeasibleError(result.evaluation.status)
+        proof = certificate.certify(
+            asked, pump, motion=result.motion, step=stage, seconds=limit, gap=gap, progress=tell
+        )
+    if as_json:
+        _print_json(runfolder.summary(result) | proof.json())
+    else:
+        from leanboom import proofs, tables
+
+        proofs.certificate(tables.output(), proof)
+
+
+@app.command()
+def simulate(
+    task: Annotated[
+        str, typer.Argument(metavar="TASK|RUN", help="A bundled task, a task file, or the run folder of a plan.")
+    ],
+    pump: Annotated[
+        str | None, typer.Option(help="ls or cp. By default that of the run folder; of a task, ls.")
+    ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="How a task is planned first: a method of `leanboom plan`; by default dp."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Write a run folder with the simulation. By default a RUN gets it added."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Drive a plan in closed loop: pump, valves, oil and controller."""
+    from leanboom import files, planner, runfolder, simulation, simulation_page
+
+    if pump not in (None, *simulation.PUMPS):
+        raise InputError(f"pump = {pump}; must be one of {', '.join(simulation.PUMPS)}")
+    run = Path(task) if task not in files.bundled_tasks() and Path(task).is_dir() else None
+    if run is not None and method is not None:
+        raise InputError(f"method = {method}; the run folder {task} is planned already: leave --method out")
+    if out is not None:
+        runfolder.check(out)
+    with _Progress() as tell:
+        if run is None:
+            asked = files.load_task(task)
+            plan = planner.run(asked, pump=pump or "ls", method=method or "dp", progress=tell)
+            result = simulation.simulate(asked, plan.motion, plan.pump, progress=tell)
+            if out is not None:
+                tell("writing the run folder", 1.0)
+                runfolder.write(plan, out, simulation=result)
+        else:
+            asked, motion, planned_for = runfolder.read(run)
+            result = simulation.simulate(asked, motion, pump or planned_for, progress=tell)
+            out = out or run
+            tell("writing the run folder", 1.0)
+            runfolder.add(run, out, result)
+    if as_json:
+        _print_json(simulation_page.summary(result, out))
+    else:
+        from leanboom import tables
+
+        tables.simulation(tables.output(), result, out)
+    if not result.complete:
+        _complain(result.status)
         raise typer.Exit(1)
 
 
@@ -159,6 +266,9 @@ def compare(
             "takes minutes.",
         ),
     ] = None,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="Also drive every motion in closed loop, for a column of its own.")
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Write the rows, a bar chart and the motions laid over each other."),
@@ -176,7 +286,7 @@ def compare(
     asked = files.load_task(task)
     starts = None if start is None else [files.load_task(task, start=each).start for each in _listed(start)]
     with _Progress(steps=True) as tell:
-        result = comparison.compare(asked, pumps, start=starts, methods=chosen, progress=tell)
+        result = comparison.compare(asked, pumps, start=starts, methods=chosen, simulate=simulate, progress=tell)
         if out is not None:
             tell("drawing", 1.0)
             results.write_comparison(result, out)
@@ -197,7 +307,8 @@ def reproduce(
         list[str] | None,
         typer.Argument(
             metavar="[NAME...]",
-            help="all, or some of table2, table3, fig8, fig10, sizing, horizontal, vertical, half-cycle, sensitivity.",
+            help="all, or some of table2, table3, fig8, fig10, sizing, horizontal, vertical, half-cycle, tracking, "
+            "sensitivity.",
         ),
     ] = None,
     out: Annotated[
@@ -296,18 +407,28 @@ def tasks(
 
 def _settings(grid: str, step: str) -> tuple[tuple[int, int], float]:
     """Grid nodes and stage length [s] as given on the command line."""
-    from leanboom.units import KINDS, parse
-
     problems = []
     nodes = _GRID.fullmatch(grid.strip())
     if nodes is None:
         problems.append(f"grid = {grid}; must be positions x velocities, such as 201x101")
-    seconds = parse(step, KINDS["time"])
-    if seconds is None or seconds <= 0.0:
-        problems.append(f"step = {step}; must be a time above 0, such as 0.05 or '50 ms'")
-    if nodes is None or seconds is None or problems:
+    try:
+        seconds = _time("step", step)
+    except InputError as error:
+        seconds = 0.0
+        problems.append(str(error))
+    if nodes is None or problems:
         raise InputError("\n".join(problems))
     return (int(nodes[1]), int(nodes[2])), seconds
+
+
+def _time(name: str, text: str) -> float:
+    """A time above 0 [s] as given on the command line."""
+    from leanboom.units import KINDS, parse
+
+    seconds = parse(text, KINDS["time"])
+    if seconds is None or seconds <= 0.0:
+        raise InputError(f"{name} = {text}; must be a time above 0, such as 0.05 or '50 ms'")
+    return seconds
 
 
 def _listed(text: str) -> list[str]:

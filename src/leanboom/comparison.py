@@ -34,6 +34,7 @@ MINIMISED: dict[str, tuple[str | None, ...]] = {
 POINTWISE = ("sns-joint", "sns-actuator", "sns-actuator-weighted")  # minimise what they are named after
 SMOOTH = {"pseudospectral": PUMPS, "shooting": PUMPS}  # state smooth costs for these only
 ON_REQUEST = ("dp-paper",)  # takes minutes
+SIMULATED = ("simulated_energy_j", "simulated_path_accuracy_m")  # what a simulation adds to a row's summary
 UNCONVERGED = "not converged"  # begins the status of a nonlinear program without a result
 
 _ENTRY = re.compile(r"([^\s:()]+)(?:[:(]([^\s:()]+)\)?)?")
@@ -73,6 +74,11 @@ class Row:
     def energy(self) -> float | None:
         """Energy of the row's pump [J]; None without a result."""
         return self.summary["energy_j"]
+
+    @property
+    def simulated(self) -> float | None:
+        """Energy of the row's pump in closed loop [J]; None without a simulation that came to its end."""
+        return self.summary.get(SIMULATED[0])
 
     @property
     def status(self) -> str:
@@ -182,6 +188,7 @@ def compare(
     *,
     start: Start | Sequence[Start] | None = None,
     methods: Sequence[str] | None = None,
+    simulate: bool = False,
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
@@ -194,6 +201,7 @@ def compare(
         pump: "ls", "cp" or both: whose energy is compared.
         start: Where the redundant cylinder starts, one or more; None: as the task says.
         methods: Names of methods, or "method:cost"; None: all that do not take minutes.
+        simulate: Whether every motion is driven in closed loop as well; rows are sorted by planned energy all the same.
         workers: Methods at a time; None: one a core.
         progress: Called with what happens and the share done.
 
@@ -215,23 +223,23 @@ def compare(
     tasks = {each: replace(task, start=each) for each in starts}
     first = {each: _start_position(tasks[each]) for each in starts}
     tell = progress or (lambda text, share: None)
-    asked = [(tasks[each], entry, pumps) for each in starts for entry in wanted]
+    asked = [(tasks[each], entry, pumps, simulate) for each in starts for entry in wanted]
     tell(f"comparing {len(asked)} solutions", 0.0)
     ended = 0
 
     def report(index: int, outcome: jobs.Outcome) -> None:
         nonlocal ended
         ended += 1
-        each, entry, _ = asked[index]
+        each, entry, *_ = asked[index]
         how = "failed" if outcome.failed else "done"
         tell(f"{entry.label} from {each.start} {how}: {ended} of {len(asked)}", ended / len(asked))
 
     outcomes = jobs.each(solve, asked, workers, report)
     rows = []
-    for (each, entry, _), outcome in zip(asked, outcomes, strict=True):
+    for (each, entry, *_), outcome in zip(asked, outcomes, strict=True):
         for name in pumps:
             if outcome.failed:
-                rows.append(_failed(each, entry, name, first[each.start], outcome.failure))
+                rows.append(_failed(each, entry, name, first[each.start], outcome.failure, simulate))
             else:
                 summaries, motion = outcome.value
                 rows.append(Row(entry, name, each.start, summaries[name], motion))
@@ -240,11 +248,11 @@ def compare(
     return Comparison(task, pumps, starts, tuple(rows))
 
 
-def solve(asked: tuple[Task, Entry, tuple[str, ...]]) -> tuple[dict[str, dict[str, Any]], Motion]:
+def solve(asked: tuple[Task, Entry, tuple[str, ...], bool]) -> tuple[dict[str, dict[str, Any]], Motion]:
     """One solution, as a process of its own computes it.
 
     Args:
-        asked: The task with its start, the method with its cost, and the pumps to judge it with.
+        asked: The task with its start, the method with its cost, the pumps to judge it with, and whether to simulate.
 
     Returns:
         Its summary for each pump, and its motion.
@@ -252,7 +260,7 @@ def solve(asked: tuple[Task, Entry, tuple[str, ...]]) -> tuple[dict[str, dict[st
     Raises:
         LeanboomError: If the method has no result; the text says why.
     """
-    task, entry, pumps = asked
+    task, entry, pumps, simulate = asked
     cost = None if entry.method in POINTWISE else entry.cost
     plan = planner.run(task, pump=pumps[0], cost=cost, method=entry.method, baseline=False)
     if plan.evaluation.status.startswith(UNCONVERGED) or plan.motion.status.startswith(UNCONVERGED):
@@ -260,7 +268,20 @@ def solve(asked: tuple[Task, Entry, tuple[str, ...]]) -> tuple[dict[str, dict[st
     found = {}
     for pump in pumps:
         found[pump] = {**runfolder.summary(replace(plan, pump=pump)), "cost": entry.cost}
+        if simulate:
+            found[pump] |= _simulated(task, plan.motion, pump)
     return found, plan.motion
+
+
+def _simulated(task: Task, motion: Motion, pump: str) -> dict[str, float | None]:
+    """What a simulation adds to a row; nothing but None where it cannot be run to its end."""
+    from leanboom import simulation
+
+    try:
+        run = simulation.simulate(task, motion, pump)
+    except LeanboomError:  # out of the crane's reach
+        return dict.fromkeys(SIMULATED)
+    return dict(zip(SIMULATED, (run.energy, run.path_accuracy) if run.complete else (None, None), strict=True))
 
 
 def _start_position(task: Task) -> float | None:
@@ -270,7 +291,7 @@ def _start_position(task: Task) -> float | None:
     return dp.start_position(stages.discretise(task, 0.05), task.start)
 
 
-def _failed(task: Task, entry: Entry, pump: str, start: float | None, reason: str) -> Row:
+def _failed(task: Task, entry: Entry, pump: str, start: float | None, reason: str, simulate: bool) -> Row:
     """The row of a method without a result."""
     known = {
         "task": task.name,
@@ -283,4 +304,5 @@ def _failed(task: Task, entry: Entry, pump: str, start: float | None, reason: st
         "duration_s": float(task.duration),
         "limit_use": {"position": None, "velocity": None, "acceleration": None},
     }
-    return Row(entry, pump, task.start, {key: known.get(key) for key in runfolder.KEYS}, None)
+    keys = (*runfolder.KEYS, *SIMULATED) if simulate else runfolder.KEYS
+    return Row(entry, pump, task.start, {key: known.get(key) for key in keys}, None)

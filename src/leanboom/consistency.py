@@ -11,12 +11,13 @@ from typing import TypeVar
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import PydanticCustomError
 
-from leanboom.machine import FourBar, Linkage, Machine, Polynomial, RackAndPinion, Telescope, Triangle
+from leanboom.machine import EfficiencyMap, FourBar, Linkage, Machine, Polynomial, RackAndPinion, Telescope, Triangle
 from leanboom.rules import Start
 from leanboom.schema import (
     AngleRange,
     BodyKeys,
     CylinderKeys,
+    EfficiencyKeys,
     FourBarKeys,
     LengthRange,
     LinesKeys,
@@ -64,6 +65,12 @@ def linkage(keys: Section) -> Linkage:
     return kinds.get(type(keys), Triangle)(**values)
 
 
+def efficiency(keys: PumpKeys) -> float | EfficiencyMap:
+    """The efficiency of a pump."""
+    given = keys.efficiency
+    return EfficiencyMap(**given.model_dump()) if isinstance(given, EfficiencyKeys) else given
+
+
 def check_machine(source: Source) -> None:
     """Note what does not fit together in a machine file."""
     data = source.data
@@ -97,6 +104,9 @@ def check_machine(source: Source) -> None:
             if getattr(pump, name) > pump.max_pressure:
                 limit = source.value(("pump", "max_pressure"))
                 source.refuse(("pump", name), f"must be at most max_pressure = {limit}")
+        found = efficiency(pump)
+        if isinstance(found, EfficiencyMap):
+            _check_map(source, found, pump.max_flow)
 
 
 def _mapping(data: dict[str, Data], name: str) -> dict[str, Data]:
@@ -145,6 +155,42 @@ def _check_size(source: Source, key: Key, keys: CylinderKeys) -> bool:
     elif keys.connection == "differential" and size[1] >= size[0]:
         source.refuse((*key, "connection"), "must be standard or single_acting, since both areas are equal")
     return True
+
+
+def _check_map(source: Source, given: EfficiencyMap, max_flow: float) -> None:
+    """Note a map of the wrong shape, a speed or flow beyond it, and a map that no shaft power meets."""
+    from leanboom.shaft import ALLOWED, at_speed, fit
+
+    key = ("pump", "efficiency")
+    axes = [("speeds", (*key, "total"), given.total)]
+    axes += [("displacements", (*key, "total", i), table) for i, table in enumerate(given.total)]
+    for i, table in enumerate(given.total):
+        axes += [("pressures", (*key, "total", i, j), row) for j, row in enumerate(table)]
+    wrong = [(name, where, entries) for name, where, entries in axes if len(entries) != len(getattr(given, name))]
+    for name, where, entries in wrong:
+        count = len(getattr(given, name))
+        source.add(where, f" has {len(entries)} entries; must have {count}, one for each of {name}")
+    if not given.speeds[0] <= given.speed <= given.speeds[-1]:
+        ends = [source.value((*key, "speeds", i)) for i in (0, len(given.speeds) - 1)]
+        source.refuse((*key, "speed"), f"must be from {ends[0]} to {ends[1]}, the ends of speeds")
+        return
+    most = given.speed * given.displacements[-1]
+    if max_flow > most * (1.0 + 1e-9):
+        flow = f"{most * 6e4:.6g} l/min, speed times the last of efficiency.displacements"
+        source.refuse(("pump", "max_flow"), f"must be at most {flow}")
+    if wrong:
+        return
+    met = fit(given)
+    if met.typical > ALLOWED:
+        i, j = met.worst
+        point = [source.value((*key, *where)) for where in (("speed",), ("displacements", i), ("pressures", j))]
+        place = ", ".join(map(str, point))
+        source.add(
+            (*key, "total"),
+            f" is no map of a pump: losses that rise with pressure and flow meet its powers within "
+            f"{100.0 * met.typical:.1f} %; must be within {100.0 * ALLOWED:g} %; "
+            f"farthest off, by {100.0 * met.largest:.0f} %, is {at_speed(given)[i, j]:.4g} at {place}",
+        )
 
 
 def _check_linkage(source: Source, key: Key, keys: CylinderKeys, joint: tuple[float, float]) -> None:

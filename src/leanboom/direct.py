@@ -23,6 +23,7 @@ from leanboom import crane as cranes
 from leanboom import hydraulics
 from leanboom.judge import Evaluation
 from leanboom.motion import Motion
+from leanboom.shaft import shaft_of
 
 KILO, MEGA = 1e-3, 1e-6  # power in kW, pressure in MPa
 REPAIRS = 4  # solves with limits drawn in where they are exceeded between the nodes
@@ -83,7 +84,7 @@ def smooth_power(
         supply = MEGA * pump.constant_pressure
     else:
         supply = reduce(lambda a, b: smooth_maximum(a, b, small), pressures) + MEGA * pump.ls_margin  # eq. (40)
-    return hydraulics.pump_power(supply, flow * KILO / MEGA, pump.efficiency)
+    return hydraulics.pump_power(supply, flow * KILO / MEGA, *shaft_of(pump).in_kilowatts())
 
 
 # The nonlinear program.

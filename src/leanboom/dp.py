@@ -34,6 +34,7 @@ from leanboom import crane as cranes
 from leanboom.continuation import Continuation
 from leanboom.errors import InputError
 from leanboom.motion import Motion
+from leanboom.shaft import shaft_of
 from leanboom.stages import Grid, Problem, Tables
 
 # Penalty slopes relative to the energy scale: per stroke range [m], per velocity limit (state, cylinders), per
@@ -159,7 +160,9 @@ def energy_scale(problem: Problem, cost: str) -> float:
         return float(np.mean(work + 0.05 * crane.machine.pump.constant_pressure * flow) * duration)
     # Recuperation pays back as well as it takes: its gains reach well beyond its total.
     spread = 10.0 if cost == "recuperation" else 1.0
-    return float(spread * np.mean(crane.machine.pump.constant_pressure * flow) * duration)
+    pressure, shaft = crane.machine.pump.constant_pressure, shaft_of(crane.machine.pump)
+    power = pressure * flow + hydraulics.pump_losses(pressure, flow, shaft.idle, shaft.leak, shaft.drag)
+    return float(spread * np.mean(power) * duration)
 
 
 def slopes(problem: Problem, cost: str) -> tuple[float, float, float, float]:

@@ -25,6 +25,7 @@ from leanboom import hydraulics, motion, stages
 from leanboom.errors import InputError
 from leanboom.motion import Motion
 from leanboom.objective import COSTS
+from leanboom.shaft import shaft_of
 from leanboom.stages import Problem
 from leanboom.task import Task
 
@@ -74,14 +75,14 @@ def principal_cost(crane: cranes.Crane, cost: str, velocity: tuple, force: tuple
             hydraulics.cylinder_flow(v, d.area_out, d.area_in) for v, d in zip(velocity, crane.drives, strict=True)
         )
     if cost != "ls":
-        return hydraulics.pump_power(pump.constant_pressure, flow, pump.efficiency)
+        return hydraulics.pump_power(pump.constant_pressure, flow, *shaft_of(pump))
     supply = 0.0
     for v, f, d in zip(velocity, force, crane.drives, strict=True):  # Eqs. (40)-(41).
         pressure = hydraulics.counted_pressure(
             v, f, machine.driven_velocity, d.gain_out, d.back_out, d.gain_in, d.back_in
         )
         supply = np.maximum(supply, pressure)
-    return hydraulics.pump_power(supply + pump.ls_margin, flow, pump.efficiency)
+    return hydraulics.pump_power(supply + pump.ls_margin, flow, *shaft_of(pump))
 
 
 def penalty(crane: cranes.Crane, cost: str) -> float:

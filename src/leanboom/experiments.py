@@ -11,12 +11,11 @@ import functools
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from math import pi
 from typing import Any
 
 from leanboom import files, printed
-from leanboom.machine import Joint, Linkage, Machine, Triangle
-from leanboom.task import Lines, Task
+from leanboom.task import Task
+from leanboom.variations import heavier, lengthened, moved, resized, rubbed, turned
 
 GRID = (201, 101)
 SWEEP_GRID = (121, 61)
@@ -25,6 +24,8 @@ SIZES = ("large", "medium", "small")
 PATHS = ("horizontal", "vertical", "half-cycle")
 STARTS = ("smallest", "middle")
 PUMPS = {"ls": "energy_ls_j", "cp": "energy_cp_j"}
+DRIVEN = {"ls": "driven_ls_j", "cp": "driven_cp_j"}  # energies of the closed-loop simulation
+FULL = " (full model)"  # ends the names of rows that it gives
 COARSE = "coarse"  # one sweep on one grid: no tubes, no polish
 
 Record = Mapping[str, Any]
@@ -39,6 +40,11 @@ class Job:
     method: str  # a name of `planner.METHODS`, or COARSE
     cost: str
     grid: tuple[int, int] = GRID
+
+    @property
+    def driven(self) -> bool:
+        """Whether its motion is simulated in closed loop as well: all but sweeps over grids and parameters are."""
+        return self.method != COARSE and self.grid == GRID
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,117 +94,7 @@ def percent(new: Record, old: Record, quantity: str) -> float | None:
     return None if change is None else 100.0 * (change - 1.0)
 
 
-# Variations of machines and tasks.
-
-
-def resized(machine: Machine, name: str, bore: float, rod: float) -> Machine:
-    """A machine with another cylinder.
-
-    Args:
-        machine: The machine.
-        name: Name of the cylinder.
-        bore, rod: Its diameters [m].
-    """
-    areas = {"piston_area": 0.25 * pi * bore**2, "rod_side_area": 0.25 * pi * (bore**2 - rod**2)}
-    cylinders = tuple(replace(c, **areas) if c.name == name else c for c in machine.cylinders)
-    return replace(machine, cylinders=cylinders)
-
-
-def heavier(task: Task, factor: float) -> Task:
-    """A task whose machine and payload have `factor` times the mass."""
-    bodies = tuple(replace(b, mass=factor * b.mass, inertia=factor * b.inertia) for b in task.machine.bodies)
-    return replace(task, machine=replace(task.machine, bodies=bodies), payload=factor * task.payload)
-
-
-def rubbed(task: Task, factor: float) -> Task:
-    """A task whose machine has `factor` times the friction."""
-    cylinders = []
-    for cylinder in task.machine.cylinders:
-        rub = cylinder.friction
-        rub = replace(rub, coulomb=factor * rub.coulomb, viscous=factor * rub.viscous)
-        cylinders.append(replace(cylinder, friction=rub))
-    return replace(task, machine=replace(task.machine, cylinders=tuple(cylinders)))
-
-
-def moved(task: Task, x: float, z: float) -> Task:
-    """A task whose path is shifted by x and z [m]."""
-    assert isinstance(task.path, Lines)
-    points = tuple((a + x, b, c + z) for a, b, c in task.path.points)
-    return replace(task, path=replace(task.path, points=points))
-
-
-def turned(machine: Machine) -> Machine:
-    """The loader with its tilt cylinder mounted the other way round: it extends to fold, its rod side holds the load.
-
-    The same retracted length and stroke; the same pressure holds the load at full reach, so the arm there is larger by
-    the ratio of the areas.
-
-    Args:
-        machine: The machine; its tilt is a triangle.
-    """
-    joint, cylinder = machine.joints[1], machine.cylinders[1]
-    old = cylinder.linkage
-    assert isinstance(old, Triangle)
-    short, long = _ends(cylinder.linkage, joint)
-    arm = _arm(old, joint.upper) * cylinder.piston_area / cylinder.rod_side_area
-    near = replace(old, angle=-(joint.lower + joint.upper + old.angle))
-    new = _triangle(near, joint, (long, short), lambda triangle: _arm(triangle, joint.upper) - arm)
-    cylinders = (machine.cylinders[0], replace(cylinder, linkage=new), *machine.cylinders[2:])
-    return replace(machine, cylinders=cylinders)
-
-
-def lengthened(machine: Machine, dead: float) -> Machine:
-    """The loader with cylinders that have another dead length, its pin distances derived again.
-
-    Strokes and joint ranges are printed. The lift's arms stay equal at both ends of the stroke, the tilt's arm at its
-    upper end stays as it is, and with it the pressure that holds the load at full reach.
-
-    Args:
-        machine: The machine; its lift and tilt are triangles.
-        dead: Retracted length less stroke [m].
-    """
-    cylinders = list(machine.cylinders)
-    lift, tilt = machine.joints[:2]
-    kept = _arm(machine.cylinders[1].linkage, tilt.upper)
-    thirds = (
-        lambda triangle: _arm(triangle, lift.upper) - _arm(triangle, lift.lower),
-        lambda triangle: _arm(triangle, tilt.upper) - kept,
-    )
-    for i, (joint, third) in enumerate(zip((lift, tilt), thirds, strict=True)):
-        old, stroke = cylinders[i].linkage, cylinders[i].stroke
-        assert isinstance(old, Triangle)
-        new = _triangle(old, joint, (stroke + dead, 2.0 * stroke + dead), third)
-        cylinders[i] = replace(cylinders[i], linkage=new)
-    return replace(machine, cylinders=tuple(cylinders))
-
-
-def _ends(linkage: Linkage, joint: Joint) -> tuple[float, float]:
-    """Lengths of a cylinder at both ends of its joint's range [m]."""
-    from leanboom import linkages
-
-    low, high = (float(linkages.cylinder(linkage, q)[0]) for q in (joint.lower, joint.upper))
-    return low, high
-
-
-def _arm(linkage: Linkage, q: float) -> float:
-    """Size of a cylinder's torque arm [m]."""
-    from leanboom import linkages
-
-    return abs(float(linkages.cylinder(linkage, q)[1]))
-
-
-def _triangle(near: Triangle, joint: Joint, ends: tuple[float, float], third: Callable[[Triangle], float]) -> Triangle:
-    """The triangle with given lengths at both ends of a joint's range and a third condition, near another one."""
-    from scipy.optimize import root
-
-    def miss(values: Any) -> list[float]:
-        triangle = Triangle(*(float(value) for value in values))
-        low, high = _ends(triangle, joint)
-        return [low - ends[0], high - ends[1], third(triangle)]
-
-    answer = root(miss, [near.long, near.short, near.angle], tol=1e-12)
-    assert answer.success, answer.message
-    return Triangle(*(float(value) for value in answer.x))
+# The papers' tasks.
 
 
 @functools.cache
@@ -216,6 +112,8 @@ def _forwarder_task(path: str, start: str) -> Task:
 CLOSE = 0.02  # ratios that differ by less need no reason
 UNPRINTED = "pin distances and triangle corners are not printed"
 SIDES = "here the tilt cylinder holds the load on its piston side: see below"
+SIMULATED = "pin distances, corners, valves and friction are not printed"
+MEASURED = "printed: measured on the crane; here: simulated, valve data assumed"
 MODELLED = "printed: measured on the crane; here: planned, masses, friction and path assumed"
 WHY = {
     ("table2", "fmincon (CP)"): "another local method: this one ends at the optimum, the printed one did not",
@@ -248,6 +146,10 @@ def _table_lines(name: str, rows: tuple[printed.Entry, ...], pump: str, got: Rec
         else:
             line = _line(name, row.name, row.value, ours, WHY.get((name, row.name), UNPRINTED))
             lines.append(replace(line, why="; ".join(filter(None, (line.why, _broken(mine))))))
+    for row in rows:
+        ours = ratio(got[row.name], best, DRIVEN[pump])
+        why = WHY.get((name, row.name), SIMULATED)
+        lines.append(_line(name, row.name + FULL, row.full, ours, why))
     return lines
 
 
@@ -380,6 +282,25 @@ def _path_lines(path: str, got: Records) -> list[Line]:
     return lines
 
 
+def _tracking_jobs() -> dict[str, Job]:
+    return {
+        f"{path}, {row.name}": Job(_forwarder_task(path, "smallest"), row.method, row.cost)
+        for path in PATHS
+        for row in printed.SOLUTIONS
+    }
+
+
+def _tracking_lines(got: Records) -> list[Line]:
+    """Table 4, the largest path error of every solution by ISO 9283 [m]."""
+    lines = []
+    for name, record in got.items():
+        path, solution = name.split(", ")
+        for pump, value in zip(("ls", "cp"), printed.TABLE4[path, solution], strict=True):
+            row = f"{path}, {pump.upper()}: {solution} [m]"
+            lines.append(_line("tracking", row, value, record[f"accuracy_{pump}_m"], MEASURED))
+    return lines
+
+
 def _over(a: float | None, b: float | None) -> float | None:
     return None if a is None or not b else a / b
 
@@ -460,12 +381,12 @@ def _sensitivity_lines(got: Records) -> list[Line]:
 
 EXPERIMENTS = {
     "table2": Experiment(
-        "Constant pressure: pump flow relative to the least (3-DOF, Table 2, simplified)",
+        "Constant pressure: pump flow relative to the least (3-DOF, Table 2)",
         lambda: _table_jobs(printed.TABLE2),
         lambda got: _table_lines("table2", printed.TABLE2, "cp", got),
     ),
     "table3": Experiment(
-        "Load sensing: energy relative to the least (3-DOF, Table 3, simplified)",
+        "Load sensing: energy relative to the least (3-DOF, Table 3)",
         lambda: _table_jobs(printed.TABLE3),
         lambda got: _table_lines("table3", printed.TABLE3, "ls", got),
     ),
@@ -490,6 +411,9 @@ EXPERIMENTS = {
         )
         for path, figures in zip(PATHS, ("Figures 10, A4", "Figures 11, A5", "Figures 12, A6"), strict=True)
     },
+    "tracking": Experiment(
+        "Largest path errors in closed loop by ISO 9283 (4-DOF, Table 4)", _tracking_jobs, _tracking_lines
+    ),
     "sensitivity": Experiment(
         "What depends on values that the papers do not print", _sensitivity_jobs, _sensitivity_lines
     ),

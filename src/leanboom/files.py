@@ -7,12 +7,15 @@ imported when a file is read, not before.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from leanboom.errors import InputError
 from leanboom.machine import (
+    METERING,
     Body,
+    Circuit,
     Connection,
     Cylinder,
     Friction,
@@ -26,7 +29,7 @@ from leanboom.machine import (
 )
 
 if TYPE_CHECKING:
-    from leanboom.schema import CylinderKeys, MachineKeys, Section
+    from leanboom.schema import CylinderKeys, MachineKeys, PumpKeys, Section
     from leanboom.source import Key, Source
     from leanboom.task import Task
 
@@ -222,11 +225,12 @@ def _machine(source: Source, stem: str) -> Machine:
         payload_along=keys.payload.along,
         payload_above=keys.payload.above,
         valve=_valve(keys),
-        pump=Pump(**keys.pump.model_dump()),
+        pump=_pump(keys.pump),
         driven_velocity=keys.driven_velocity,
         coriolis=keys.dynamics.coriolis,
         slewing_inertia=keys.dynamics.slewing_inertia,
         gravity=keys.gravity,
+        circuit=replace(circuit_defaults(keys.valve.type), **keys.simulation.model_dump(exclude_none=True)),
         provenance=_provenance(source),
     )
 
@@ -252,6 +256,21 @@ def _cylinder(name: str, keys: CylinderKeys) -> Cylinder:
 def _valve(keys: MachineKeys) -> MobileValve | IndependentMetering:
     values = keys.valve.model_dump(exclude={"type"})
     return MobileValve(**values) if keys.valve.type == "mobile_valve" else IndependentMetering(**values)
+
+
+def circuit_defaults(valve: str) -> Circuit:
+    """What the simulation takes where a machine file says nothing.
+
+    Args:
+        valve: The type of the machine's valve, as in its file.
+    """
+    return METERING if valve == "independent_metering" else Circuit()
+
+
+def _pump(keys: PumpKeys) -> Pump:
+    from leanboom.consistency import efficiency
+
+    return Pump(**keys.model_dump(exclude={"efficiency"}), efficiency=efficiency(keys))
 
 
 def _provenance(source: Source) -> tuple[Provenance, ...]:
@@ -290,10 +309,12 @@ def _validated(model: type[Section], source: Source) -> Section | None:
 
 def _key(source: Source, loc: tuple[str | int, ...]) -> Key:
     """Where a pydantic error is in the file: pydantic also names the chosen type of a section."""
+    from leanboom.schema import EFFICIENCY_MAP
+
     key: Key = ()
     node: Any = source.data  # what is at `key`, as far as the file has it
     for step in loc:
-        if isinstance(node, dict) and step not in node and step == node.get("type"):
+        if isinstance(node, dict) and step not in node and step in (node.get("type"), EFFICIENCY_MAP):
             continue
         key = (*key, step)
         if isinstance(node, dict):

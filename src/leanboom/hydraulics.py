@@ -88,6 +88,12 @@ def recuperating_flow(v, piston_area, rod_side_area):
 
 
 @formula
-def pump_power(supply, flow, efficiency):
-    """Power the pump takes [W]. Eqs. (36) and (43); (31)-(32), 3-DOF."""
-    return supply * flow / efficiency
+def pump_losses(supply, flow, idle, leak, drag):
+    """Losses of the pump besides the share that is in proportion to p Q [W]; see `shaft.Shaft`."""
+    return idle + leak * supply + drag * flow * flow
+
+
+@formula
+def pump_power(supply, flow, efficiency, idle, leak, drag):
+    """Power the pump takes [W]. Eqs. (36) and (43); (31)-(32), 3-DOF; the losses of an efficiency map added."""
+    return supply * flow / efficiency + pump_losses(supply, flow, idle, leak, drag)

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import files, hydraulics, kinematics, linkages
+from leanboom import files, hydraulics, kinematics, linkages, shaft
 from leanboom.errors import InputError
-from leanboom.machine import Body, Machine
+from leanboom.machine import Body, EfficiencyMap, Machine
 from leanboom.source import read, shortened
 from leanboom.task import sample
 
@@ -95,6 +95,26 @@ def _pressures(machine: Machine, joints: tuple[float, float, float], payload: fl
     return (0.0,) * (len(machine.cylinders) - 3) + tuple(found)
 
 
+def efficiency(machine: Machine) -> str:
+    """The pump's efficiency in words: a constant or a map, how well a map is met, where its values come from.
+
+    Args:
+        machine: The machine, with its provenance.
+    """
+    given = machine.pump.efficiency
+    entries = [e for e in machine.provenance if e.key.startswith("pump.efficiency")]
+    found = Counter(entry.status for entry in entries)
+    origin = [f"{found[status]} {status}" if len(entries) > 1 else status for status in STATUSES if found[status]]
+    said = f" ({', '.join(origin)})" if origin else ""
+    if not isinstance(given, EfficiencyMap):
+        return f"{100.0 * given:g} %, constant{said}"
+    met = shaft.fit(given)
+    return (
+        f"map taken at {60.0 * given.speed:g} rev/min{said}; its powers are met within {100.0 * met.typical:.1f} %, "
+        f"at worst {100.0 * met.largest:.1f} %; idle loss {1e-3 * met.shaft.idle:.2f} kW"
+    )
+
+
 def doubts(machine: Machine) -> tuple[str, ...]:
     """What looks wrong with a machine, one sentence each; nothing here is an error.
 
@@ -108,6 +128,12 @@ def doubts(machine: Machine) -> tuple[str, ...]:
                 f"holding the empty crane at full reach takes {pressure / 1e6:.1f} MPa in the {name} cylinder, and "
                 f"{pump.ls_margin / 1e6:.1f} MPa margin, but the pump gives {pump.max_pressure / 1e6:.1f} MPa"
             )
+    given = pump.efficiency
+    if isinstance(given, EfficiencyMap) and pump.max_pressure > given.pressures[-1]:
+        found.append(
+            f"the efficiency map ends at {given.pressures[-1] / 1e6:.1f} MPa, the pump at "
+            f"{pump.max_pressure / 1e6:.1f} MPa; powers between them are extrapolated"
+        )
     return tuple(found)
 
 

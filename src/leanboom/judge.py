@@ -14,6 +14,7 @@ from leanboom import crane as cranes
 from leanboom import hydraulics, kinematics
 from leanboom.errors import InputError
 from leanboom.motion import Motion
+from leanboom.shaft import shaft_of
 from leanboom.task import Task, sample
 
 SAMPLE = 0.002  # [s], the papers' recording rate
@@ -144,8 +145,8 @@ def _evaluate(task: Task, motion: Motion) -> Evaluation:
     pump_flow = flow.sum(axis=1)
     supply_ls = pressure.max(axis=1) + pump.ls_margin
     supply_cp = np.full_like(time, pump.constant_pressure)
-    power_ls = hydraulics.pump_power(supply_ls, pump_flow, pump.efficiency)
-    power_cp = hydraulics.pump_power(supply_cp, pump_flow, pump.efficiency)
+    power_ls = hydraulics.pump_power(supply_ls, pump_flow, *shaft_of(pump))
+    power_cp = hydraulics.pump_power(supply_cp, pump_flow, *shaft_of(pump))
 
     g = machine.geometry
     r, z = kinematics.tool_point(*pose.q, g.base_x, g.base_z, g.boom, g.offset, g.outer)
@@ -192,7 +193,7 @@ def judged_cost(evaluation: Evaluation, cost: str) -> float:
     else:
         areas = [(c.piston_area, c.rod_side_area) for c in machine.cylinders]
         flow = sum(hydraulics.recuperating_flow(evaluation.velocity[:, i], a, b) for i, (a, b) in enumerate(areas))
-        rate = hydraulics.pump_power(machine.pump.constant_pressure, flow, machine.pump.efficiency)
+        rate = hydraulics.pump_power(machine.pump.constant_pressure, flow, *shaft_of(machine.pump))
     return float(_integral(evaluation.time, rate)[-1])
 
 

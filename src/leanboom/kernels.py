@@ -24,7 +24,7 @@ from numba import njit
 
 from leanboom.dynamics import friction
 from leanboom.formula import enable_in_kernels
-from leanboom.hydraulics import cylinder_flow, pump_power, recuperating_flow
+from leanboom.hydraulics import cylinder_flow, pump_losses, pump_power, recuperating_flow
 from leanboom.objective import COSTS
 
 enable_in_kernels()
@@ -39,8 +39,8 @@ STAGE_COLUMNS = 7
 AREA_OUT, AREA_IN, GAIN_OUT, BACK_OUT, GAIN_IN, BACK_IN, SHARPNESS, VISCOUS, V_MAX, A_MAX, PISTON, ROD_SIDE = range(12)
 CYLINDER_COLUMNS = 12
 # Entries of the setting vector.
-STEP, COST, EPSILON, SUPPLY_CP, MARGIN, EFFICIENCY, SLOPE_C, SLOPE_W, SLOPE_V, SLOPE_A = range(10)
-SETTINGS = 10
+STEP, COST, EPSILON, SUPPLY_CP, MARGIN, EFFICIENCY, SLOPE_C, SLOPE_W, SLOPE_V, SLOPE_A, IDLE, LEAK, DRAG = range(13)
+SETTINGS = 13
 # Rows of `Row.state`: least cost to go [J], its control [m/s^2], cost whatever the control [J], cost per pressure
 # [J/Pa] or power [s], least and largest admissible control [m/s^2]; the rest is scratch: control being tried, its cost,
 # flow or pressure or power, share within a cell, cost of being outside the positions.
@@ -103,11 +103,18 @@ def layer(value, stage, setting, k):
 
 
 @njit(cache=True, error_model="numpy")
+def within(x, top):
+    """The number between 0 and `top` nearest to x; 0 where x is not a number, so that it may become an index."""
+    x = x if x > 0.0 else 0.0
+    return x if x < top else top
+
+
+@njit(cache=True, error_model="numpy")
 def interpolate(ahead, c, w):
     """Bilinear value at (c, w) of a layer; outside its nodes, the edge value plus a slope times the distance."""
     x, y = (c - ahead.c_lo) * ahead.per_dc, (w - ahead.w_lo) * ahead.per_dw
     positions, velocities = ahead.value.shape
-    inside_x, inside_y = min(max(x, 0.0), positions - 1.0), min(max(y, 0.0), velocities - 1.0)
+    inside_x, inside_y = within(x, positions - 1.0), within(y, velocities - 1.0)
     extra = ahead.slope_c * abs(x - inside_x) + ahead.slope_w * abs(y - inside_y)
     i, j = np.uint32(min(inside_x, positions - 2.0)), np.uint32(min(inside_y, velocities - 2.0))
     x, y = inside_x - i, inside_y - j
@@ -181,13 +188,14 @@ def charge(node, w, k, stage, cylinder, setting, code, row):
             for j in range(w.size):
                 flow[j] += cylinder_flow(a0 + a1 * w[j], area_out, area_in)
     efficiency, margin, supply = setting[EFFICIENCY], setting[MARGIN], setting[SUPPLY_CP]
+    idle, leak, drag = setting[IDLE], setting[LEAK], setting[DRAG]
     if code == LS:
-        for j in range(w.size):
-            rate[j] = step * pump_power(1.0, flow[j], efficiency)
-            base[j] += rate[j] * margin
+        for j in range(w.size):  # affine in the pressure: losses at no pressure, and the rate at which it costs
+            rate[j] = step * pump_power(1.0, flow[j], efficiency, 0.0, leak, 0.0)
+            base[j] += step * pump_losses(0.0, flow[j], idle, leak, drag) + rate[j] * margin
     elif code == CP or code == RECUPERATION:
         for j in range(w.size):
-            base[j] += step * pump_power(supply, flow[j], efficiency)
+            base[j] += step * pump_power(supply, flow[j], efficiency, idle, leak, drag)
     elif code == EXTENSION:
         for j in range(w.size):
             base[j] += step * w[j] * w[j]
@@ -289,7 +297,7 @@ def try_nodes(c, w, step, ahead, code, lowest, row):
     middle = c + 0.5 * step * (w[0] + ahead.w_lo)
     for total in range(w.size + velocities - 1):
         x = (middle + half * total - ahead.c_lo) * ahead.per_dc
-        inside = min(max(x, 0.0), positions - 1.0)
+        inside = within(x, positions - 1.0)
         i = np.uint32(min(inside, positions - 2.0))
         cell[total], share[total], beyond[total] = i, inside - i, ahead.slope_c * abs(x - inside)
     lowest_u, highest_u = np.inf, -np.inf
@@ -462,7 +470,7 @@ def rollout(coefficients, outside, stage, cylinder, setting, values, start, firs
     total = 0.0
     for k in range(first, stages):
         c, w = position[k], velocity[k]
-        x = min(max((c - stage[k, C_LO]) / stage[k, DC], 0.0), coefficients.shape[1] - 1.0)
+        x = within((c - stage[k, C_LO]) / stage[k, DC], coefficients.shape[1] - 1.0)
         i = min(int(x), coefficients.shape[1] - 2)
         x -= i
         for m in range(n):

@@ -155,6 +155,20 @@ Valve = MobileValve | IndependentMetering
 
 
 @dataclass(frozen=True, slots=True)
+class EfficiencyMap:
+    """Efficiency of pump and drive together, measured over speed, displacement and pressure; axes rise.
+
+    Displacement is the delivered flow over the speed.
+    """
+
+    speed: float  # of the drive, within `speeds` [rev/s]
+    speeds: tuple[float, ...]  # [rev/s]
+    displacements: tuple[float, ...]  # [m^3/rev]
+    pressures: tuple[float, ...]  # [Pa]
+    total: tuple[tuple[tuple[float, ...], ...], ...]  # (speeds, displacements, pressures)
+
+
+@dataclass(frozen=True, slots=True)
 class Pump:
     """The pump and its two ways to be run. Efficiency is that of pump and drive together (eqs. 36, 43)."""
 
@@ -163,7 +177,35 @@ class Pump:
     max_pressure: float  # [Pa]
     max_flow: float  # [m^3/s]
     tank_pressure: float = 0.0  # [Pa]
-    efficiency: float = 1.0
+    efficiency: float | EfficiencyMap = 1.0  # what becomes of it is in `shaft`
+
+
+@dataclass(frozen=True, slots=True)
+class Circuit:
+    """What the closed-loop simulation needs to know of the hydraulics, beyond what planning does.
+
+    The defaults are those of a mobile valve; `METERING` are those of independent metering.
+    """
+
+    bulk_modulus: float = 1e9  # B_eff of eqs. (18)-(19), hoses included [Pa]
+    dead_volume: float = 1e-3  # V_0A, V_0B: chamber and hose with the piston at its end [m^3]
+    line_volume: float = 3e-3  # between pump and valves [m^3]
+    pump_time_constant: float = 0.2  # of the supply pressure [s]
+    edge_flow: float = 170e-3 / 60  # of a fully open edge at `edge_drop` [m^3/s]
+    edge_drop: float = 0.7e6  # over a compensated edge; a mobile valve's own drop counts instead [Pa]
+    spool_bandwidth: float = 8.0  # where the spool's amplitude has fallen by 3 dB [Hz]
+    delay: float = 0.16  # from a command to the spool's first movement [s]
+    dead_zone: float = 0.53  # share of the spool's travel that opens nothing
+    counter_pressure: float = 0.3e6  # of the return line above the tank [Pa]
+    seal_friction: float = 0.0  # Coulomb, beside planning's friction, as a share of the force at constant pressure
+    seal_damping: float = 0.0  # viscous at the velocity limit, beside planning's, as a share of the same force
+
+
+METERING = Circuit(
+    dead_volume=0.5e-3, line_volume=1e-3, edge_flow=80e-3 / 60, edge_drop=0.5e6, spool_bandwidth=25.0, delay=0.002,
+    dead_zone=0.0, counter_pressure=0.0, seal_friction=0.02,
+    seal_damping=0.02,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,6 +236,7 @@ class Machine:
     coriolis: bool = False  # centrifugal and Coriolis forces in planning (omitted in both papers)
     slewing_inertia: bool = False  # whether planning adds M11 q1'' to the base force (constant in the paper)
     gravity: float = 9.81  # [m/s^2]
+    circuit: Circuit = Circuit()
     provenance: tuple[Provenance, ...] = field(default=(), repr=False)
 
     @property

@@ -12,6 +12,7 @@ import resource
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +23,9 @@ from leanboom.motion import Motion
 from leanboom.objective import COSTS
 from leanboom.stages import Problem
 from leanboom.task import Task
+
+if TYPE_CHECKING:
+    from leanboom.polish import Modes, Polisher  # CasADi is slow to import: when it is needed
 
 METHODS = {
     "dp": "dynamic programming over all extensions, refined in tubes and polished",
@@ -37,10 +41,9 @@ METHODS = {
 PUMPS = ("ls", "cp")
 
 # Tubes: nodes, and half widths relative to the coarse grid's spacing; halved each level.
-TUBE = (31, 25)
+TUBE = (31, 33)
 TUBE_WIDTH, TUBE_SPREAD = 6.0, 6.0
-TUBE_LEVELS, BASIN_LEVELS = 6, 2  # the best basin is chosen after BASIN_LEVELS
-LOOK_AGAIN = 2  # level of the tubes around the polished motion
+TUBE_LEVELS, BASIN_LEVELS = 5, 2  # the best basin is chosen after BASIN_LEVELS
 REPEAT, TUBE_REPEATS = 1e-2, 4  # a tube is repeated while the judged cost falls by more than this share
 MOVING, TOUCHING = 1e-3, 1e-4  # a limit that moves [m/s], and a motion on it [m]
 FINER = 5e-4  # stages are halved while that gains more than this share
@@ -177,7 +180,7 @@ class _Run:
         self.log: list[str] = []
         self.began = began
         self.best: Evaluation | None = None
-        self.polisher = None
+        self.polisher: Polisher | None = None
 
     def by(self, method: str) -> Evaluation:
         """The best judged motion of a method."""
@@ -234,18 +237,25 @@ class _Run:
             del coarse
             self.tubes(problem, seed, start, width, spread, range(BASIN_LEVELS))
         assert self.best is not None
-        self.tubes(problem, self.best, start, width, spread, range(BASIN_LEVELS, LOOK_AGAIN + 2))
-        free = start is None
+        free, loads = start is None, self.cost in ("ls", "actuator")
         # Polish, then look around what it found: it has moved on from where its seed's modes came from.
         self.polish(problem, self.best, free, rounds=1)
-        self.tubes(problem, self.best, start, width, spread, range(LOOK_AGAIN, TUBE_LEVELS))
-        self.polish(problem, self.best, free)
-        if self.rides_on_a_limit(problem):
-            other = self.baseline(float(self.best.motion.position[0]) if free else start)
-            if other is not None:
-                self.polish(problem, other, free, rounds=1)  # grids do not follow a moving limit well: one more seed
+        other = self.baseline(float(self.best.motion.position[0]) if start is None else start)
+        rides = self.rides_on_a_limit(problem)
+        if other is not None and (loads or rides):
+            self.polish(problem, other, free)  # at times from a better valley, or along a moving limit
+        polished = self.best
+        # Without loads there are no modes, so one tube tells whether there is anything to find.
+        last = TUBE_LEVELS if loads else BASIN_LEVELS + 1
+        self.tubes(problem, polished, start, width, spread, range(BASIN_LEVELS, last))
+        if self.best is not polished:
+            self.polish(problem, self.best, free)
+        if rides or self.rides_on_a_limit(problem):
             self.finer_stages(start, width, spread)
-        self.fall_back(problem, float(self.best.motion.position[0]) if start is None else start)
+        if other is not None and beats(other, self.best, self.cost):
+            self.best = other
+            self.note(f"the pseudo-inverse is better: {judged_cost(other, self.cost):.4g}; refining from it")
+            self.polish(problem, other, False)
         return self.best
 
     def rides_on_a_limit(self, problem: Problem) -> bool:
@@ -266,7 +276,7 @@ class _Run:
             self.polisher = None
             problem = stages.discretise(self.task, self.step / factor)
             self.polish(problem, self.best, start is None, rounds=1)
-            self.tubes(problem, self.best, start, width, spread, range(LOOK_AGAIN, LOOK_AGAIN + 2))
+            self.tubes(problem, self.best, start, width, spread, range(BASIN_LEVELS, BASIN_LEVELS + 2))
             self.polish(problem, self.best, start is None, rounds=1)
             gained = gains(judged_cost(before, self.cost), judged_cost(self.best, self.cost), FINER)
             if before.feasible and not gained:
@@ -306,37 +316,36 @@ class _Run:
         if not np.isfinite(judged_cost(chain, self.cost)):
             return  # out of reach somewhere: nothing to start from
         self.tell("polish", 0.75)
-        if self.polisher is None:
-            self.polisher = polish.build(problem, self.cost)
+        polisher = self.polisher = self.polisher or polish.build(problem, self.cost)
         done = None
-        if not self.polisher.layout.loads:
+        if not polisher.layout.loads:
             rounds = 1  # no modes, no second round
         for _ in range(rounds):
             before = judged_cost(chain, self.cost)
             seed = _on_stages(chain.motion, problem)
-            switches = polish.modes(self.polisher, seed)
+            switches = polish.modes(polisher, seed)
             if done is not None and switches.same_as(done):
                 break
-            answer, text = polish.solve(self.polisher, seed, switches, free)
+            answer, text = polish.solve(polisher, seed, switches, free)
             done = switches
             if answer is None:
                 self.note(f"polish: {text}")
                 break
             judged = self.judge(answer, f"polish ({text})")
             if not judged.feasible and judged.limit_use.worst < REPAIRABLE:
-                judged = self.repair(judged, switches, free)
+                judged = self.repair(polisher, judged, switches, free)
             if beats(judged, chain, self.cost):
                 chain = judged
             if not gains(before, judged_cost(chain, self.cost), SETTLED):
                 break
 
-    def repair(self, judged: Evaluation, switches, free: bool) -> Evaluation:
+    def repair(self, polisher: Polisher, judged: Evaluation, switches: Modes, free: bool) -> Evaluation:
         """Polish again with room for what a polished motion broke between the ends of its intervals."""
         from leanboom import polish
 
         use = judged.limit_use
         share = min(1.0, ROOM / use.velocity), min(1.0, ROOM / use.acceleration)
-        answer, text = polish.solve(self.polisher, judged.motion, switches, free, share)
+        answer, text = polish.solve(polisher, judged.motion, switches, free, share)
         if answer is None:
             return judged
         return self.judge(answer, f"polish with room between stages ({text})")
@@ -353,16 +362,6 @@ class _Run:
         self.polish(problem, seed, start is None)
         assert self.best is not None
         return self.best
-
-    def fall_back(self, problem: Problem, start: float) -> None:
-        """Never worse than the pseudo-inverse: refine from it where it beats the dynamic program."""
-        other = self.baseline(start)
-        assert self.best is not None
-        if other is None or not beats(other, self.best, self.cost):
-            return
-        self.best = other
-        self.note(f"the pseudo-inverse is better: {judged_cost(other, self.cost):.4g}; refining from it")
-        self.polish(problem, other, False)
 
     def baseline(self, start: float) -> Evaluation | None:
         """The actuator pseudo-inverse from a start [m], judged; None where it cannot follow the path."""

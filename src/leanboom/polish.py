@@ -28,9 +28,11 @@ import numpy as np
 from leanboom import crane as cranes
 from leanboom import hydraulics, motion
 from leanboom.motion import Motion
+from leanboom.shaft import shaft_of
 from leanboom.stages import HELD, Problem, prescribed, threads
 
 LITRE, MEGA = 1e3, 1e-6  # flow in l/s, pressure in MPa: their product is kW
+WORTH_SHARING = 500  # instructions of a stage's function that make another thread worth while
 FORCE = 1e-5  # scale of the rows that keep a load's sign [1/N]
 REFERENCE = 7  # parameters of a node: r, z, vr, vz, ar, az, prescribed flow
 OPTIONS = {
@@ -155,7 +157,7 @@ def _end_rows(ca, problem: Problem, layout: Layout, x, state, pressure, flow, mo
     if layout.flows:
         flow = flow + ca.sum1(x[layout.flow])
         supply = pressure + machine.pump.ls_margin * MEGA if layout.pressures else machine.pump.constant_pressure * MEGA
-        rate = hydraulics.pump_power(supply, flow, machine.pump.efficiency)
+        rate = hydraulics.pump_power(supply, flow, *shaft_of(machine.pump).in_kilowatts())
     elif layout.cost == "actuator":
         rate = 1e-3 * work
     elif layout.cost == "velocity":
@@ -168,7 +170,7 @@ def _end_rows(ca, problem: Problem, layout: Layout, x, state, pressure, flow, mo
             hydraulics.recuperating_flow(v, c.piston_area, c.rod_side_area)
             for v, c in zip(speeds, cylinders, strict=True)
         )
-        rate = 1e-3 * hydraulics.pump_power(machine.pump.constant_pressure, net, machine.pump.efficiency)
+        rate = 1e-3 * hydraulics.pump_power(machine.pump.constant_pressure, net, *shaft_of(machine.pump))
     return ca.vertcat(*rows), rate
 
 
@@ -180,9 +182,13 @@ def _assemble(ca, stages, here, there, parameters, rows, cost, node_rows, theta)
     hess = ca.triu(ca.hessian(sigma * cost + ca.dot(lam, rows), both)[0])
 
     def mapped(name, arguments, values):
-        return ca.Function(name, arguments, [ca.cse(value) for value in values]).map(stages, "thread", threads())
+        function = ca.Function(name, arguments, [ca.cse(value) for value in values])
+        if function.n_instructions() < WORTH_SHARING:
+            return function.map(stages)
+        return function.map(stages, "thread", threads())
 
-    f_rows = mapped("rows", [both, parameters], [cost, rows])
+    f_cost = mapped("costs", [both, parameters], [cost])
+    f_rows = mapped("rows", [both, parameters], [rows])
     f_grad = mapped("gradients", [both, parameters], [ca.gradient(cost, both)])
     f_jac = mapped("jacobians", [both, parameters], [_nonzeros(ca, jac)])
     f_hess = mapped("hessians", [both, parameters, sigma, lam], [_nonzeros(ca, hess)])
@@ -200,9 +206,8 @@ def _assemble(ca, stages, here, there, parameters, rows, cost, node_rows, theta)
     pairs = ca.vertcat(blocks[:, :-1], blocks[:, 1:])
     per = ca.reshape(p[: count * stages], count, stages)
     last_x, last_p = blocks[:, -1], p[count * stages :]
-    costs, g = f_rows(pairs, per)
-    f = ca.sum2(costs)
-    g = ca.vertcat(ca.vec(g), l_rows(last_x, last_p))
+    f = ca.sum2(f_cost(pairs, per))
+    g = ca.vertcat(ca.vec(f_rows(pairs, per)), l_rows(last_x, last_p))
     lam_f, lam_g = ca.MX.sym("lf"), ca.MX.sym("lg", g.numel())
     lams = ca.reshape(lam_g[: m * stages], m, stages)
 

@@ -10,7 +10,7 @@ import json
 import re
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -74,22 +74,11 @@ def page(plan: Plan, grid: tuple[int, int] | None = None) -> str:
     Returns:
         The document's text.
     """
-    from plotly.offline import get_plotlyjs
-
     judged, task = plan.evaluation, plan.task
-    data = json.dumps(charts.data(plan), allow_nan=False, separators=(",", ":"))
-    for character in "<>&":  # nothing in the data may end the script element
-        data = data.replace(character, f"\\u{ord(character):04x}")
     holes = {
-        "policy": POLICY,
         "title": _text(task.name),
         "subtitle": f"Crane {_text(task.machine.name)} · {PUMPS[plan.pump]} pump · {task.duration:g} s"
         + (f" · payload {task.payload:g} kg" if task.payload else " · no payload"),
-        "style": (_FOLDER / "report.css").read_text(encoding="utf-8"),
-        "script": (_FOLDER / "report.js").read_text(encoding="utf-8"),
-        "plotly": get_plotlyjs(),
-        "data": data,
-        "version": __version__,
         "badge": "good" if judged.feasible else "bad",
         "verdict": "All limits kept" if judged.feasible else "No feasible motion",
         "lead": _lead(plan),
@@ -106,7 +95,35 @@ def page(plan: Plan, grid: tuple[int, int] | None = None) -> str:
         **_section_texts(plan),
         **_crane_texts(plan),
     }  # fmt: skip
-    return _HOLE.sub(lambda hole: holes[hole[1]], (_FOLDER / "report.html").read_text(encoding="utf-8"))
+    return filled("report", holes, charts.data(plan))
+
+
+def filled(name: str, holes: dict[str, str], data: dict[str, Any]) -> str:
+    """A page of the folder `page` with its holes filled, its script, style and plotting library inside.
+
+    Args:
+        name: Of its .html and .js.
+        holes: Texts by their names, escaped.
+        data: What its script draws, ready for JSON.
+
+    Returns:
+        The document's text.
+    """
+    from plotly.offline import get_plotlyjs
+
+    text = json.dumps(data, allow_nan=False, separators=(",", ":"))
+    for character in "<>&":  # nothing in the data may end the script element
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    every = {
+        **holes,
+        "policy": POLICY,
+        "style": (_FOLDER / "report.css").read_text(encoding="utf-8"),
+        "script": (_FOLDER / f"{name}.js").read_text(encoding="utf-8"),
+        "plotly": get_plotlyjs(),
+        "data": text,
+        "version": __version__,
+    }
+    return _HOLE.sub(lambda hole: every[hole[1]], (_FOLDER / f"{name}.html").read_text(encoding="utf-8"))
 
 
 def _text(value: object) -> str:

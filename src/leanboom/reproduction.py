@@ -20,15 +20,18 @@ from typing import Any
 from leanboom import __version__, jobs
 from leanboom.errors import InputError, LeanboomError
 from leanboom.experiments import COARSE, EXPERIMENTS, Job, Line, Records
+from leanboom.motion import Motion
+from leanboom.task import Task
 
 SMOOTH = 5.0  # [Hz], both papers filter their plans before they are measured
 STEP = 0.05  # [s]
 POINTS = 601  # of a motion in its record, at most
+CLOSED_LOOP = ("driven_ls_j", "driven_cp_j", "accuracy_ls_m", "accuracy_cp_m")  # numbers of a record
 SOLVED = "solved"  # folder of the solutions
 # Modules that present results: their sources have no part in a solution.
 PRESENTING = (
     "charts", "cli", "comparison", "experiments", "figures", "inspection", "jobs", "printed", "report",
-    "reproduction", "results", "runfolder", "tables", "writing",
+    "reproduction", "results", "runfolder", "simulation_page", "tables", "variations", "writing",
 )  # fmt: skip
 
 Progress = Callable[[str, float], None]
@@ -198,6 +201,7 @@ def solve(job: Job) -> dict[str, Any]:
         "energy_cp_j": judged.energy_cp,
         "flow_m3": float(np.trapezoid(judged.pump_flow, judged.time)),
         "pressure_pa": float(judged.pressure.max()),
+        **_driven(judged.task, found, job.driven),
         "solve_s": float(found.solve_s),
         "cpu_s": time.process_time() - began,
         "time_s": np.round(judged.time[at], 6).tolist(),
@@ -206,9 +210,21 @@ def solve(job: Job) -> dict[str, Any]:
     }
 
 
+def _driven(task: Task, found: Motion, wanted: bool) -> dict[str, float | None]:
+    """Energies and path accuracies in closed loop; None where they are not wanted or the run does not end."""
+    from leanboom import simulation
+
+    numbers: dict[str, float | None] = dict.fromkeys(CLOSED_LOOP)
+    for pump in ("ls", "cp") if wanted else ():
+        run = simulation.simulate(task, found, pump)
+        if run.complete:
+            numbers |= {f"driven_{pump}_j": run.energy, f"accuracy_{pump}_m": run.path_accuracy}
+    return numbers
+
+
 def _nothing(reason: str) -> dict[str, Any]:
     """The record of a solution that failed."""
-    numbers = ("energy_ls_j", "energy_cp_j", "flow_m3", "pressure_pa", "solve_s", "cpu_s")
+    numbers = ("energy_ls_j", "energy_cp_j", "flow_m3", "pressure_pa", *CLOSED_LOOP, "solve_s", "cpu_s")
     return {"status": reason, **dict.fromkeys(numbers), "time_s": [], "stroke_m": [], "supply_ls_pa": []}
 
 

@@ -131,7 +131,9 @@ def _figures_of(name: str, result: Reproduction) -> Mapping[str, bytes]:
     if name in ("table2", "table3"):
         pump = "constant pressure" if name == "table2" else "load sensing"
         return {
-            name: figures.beside(f"Relative cost, {pump}", lines),
+            name: figures.beside(
+                f"Relative cost, {pump}", [line for line in lines if not line.row.endswith(experiments.FULL)]
+            ),
             f"{name}-motions": figures.motions({f"loader-triangle-large, {pump}": got}),
         }
     if name == "fig8" or (name == "fig10" and "fig8" not in result.records):

@@ -92,6 +92,25 @@ class Quantity(Rule):
         return {"type": ["string", "number"], "description": f"{self.allowed.removeprefix('must be ')}; {bare}"}
 
 
+class OrMapping(Rule):
+    """A quantity, or a mapping in its place, which its own section checks."""
+
+    def __init__(self, quantity: Quantity, keys: str):
+        self.quantity, self.kind = quantity, quantity.kind
+        self.mapping = f"or a mapping with the keys {keys}"
+        self.allowed = f"{quantity.allowed}, {self.mapping}"
+
+    def check(self, value: Any) -> Any:
+        """The mapping, or the quantity in SI units."""
+        if isinstance(value, list):
+            raise refusal(f"{self.quantity.finite}, {self.mapping}")
+        return value if isinstance(value, dict) else self.quantity.check(value)
+
+    def described(self, schema: dict[str, Any]) -> dict[str, Any]:
+        """The quantity as written, or the mapping."""
+        return {"anyOf": [self.quantity.described({}), *(part for part in schema["oneOf"] if "$ref" in part)]}
+
+
 class Listing(Rule):
     """A list of quantities or of lists, so many as `size` says."""
 

@@ -10,18 +10,22 @@ import json
 import math
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from leanboom import simulation_page
 from leanboom.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
 
     from leanboom.judge import Evaluation
+    from leanboom.motion import Motion
     from leanboom.planner import Plan
+    from leanboom.simulation import Simulation
+    from leanboom.task import Task
 
 SUMMARY, TASK, MACHINE, TRAJECTORY, REPORT = FILES = (
     "summary.json",
@@ -30,6 +34,7 @@ SUMMARY, TASK, MACHINE, TRAJECTORY, REPORT = FILES = (
     "trajectory.csv",
     "report.html",
 )
+ALLOWED = (*FILES, *simulation_page.FILES)  # what a simulation adds is kept by `simulate` alone
 KEYS = (
     "task",
     "machine",
@@ -134,7 +139,7 @@ def check(out: Path) -> None:
         if Path.cwd().is_relative_to(out.resolve()):
             raise InputError(f"out = {out}; is or holds the current folder: give one below or beside it")
         if out.is_dir() and any(out.iterdir()) and not _is_run_folder(out):
-            strange = sorted(path.name for path in out.iterdir() if path.name not in FILES)
+            strange = sorted(path.name for path in out.iterdir() if path.name not in ALLOWED)
             holds = f"holds {strange[0]}" if strange else "was not written by leanboom"
             raise InputError(f"out = {out}; {holds}: give a new or empty folder, or an earlier run folder")
 
@@ -142,7 +147,7 @@ def check(out: Path) -> None:
 def _is_run_folder(folder: Path) -> bool:
     """Whether a folder holds what `write` writes and nothing else."""
     entries = list(folder.iterdir())
-    if any(path.name not in FILES or path.is_symlink() or not path.is_file() for path in entries):
+    if any(path.name not in ALLOWED or path.is_symlink() or not path.is_file() for path in entries):
         return False
     try:
         found = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
@@ -151,13 +156,14 @@ def _is_run_folder(folder: Path) -> bool:
     return isinstance(found, dict) and tuple(found) == KEYS
 
 
-def write(plan: Plan, out: Path, grid: tuple[int, int] | None = None) -> Path:
+def write(plan: Plan, out: Path, grid: tuple[int, int] | None = None, simulation: Simulation | None = None) -> Path:
     """Write the run folder of a plan.
 
     Args:
         plan: The plan.
         out: The folder; new, empty, or an earlier run folder, which is replaced.
         grid: Position and velocity nodes the plan was made with, for the report.
+        simulation: The plan driven in closed loop, if it was.
 
     Returns:
         The folder.
@@ -168,8 +174,6 @@ def write(plan: Plan, out: Path, grid: tuple[int, int] | None = None) -> Path:
     from leanboom import files, report
 
     check(out)
-    # Resolved once: renaming "." or "a/.." would not do what it says.
-    place = out.resolve()
     texts = {
         SUMMARY: json.dumps(summary(plan, out), indent=2, ensure_ascii=False, allow_nan=False) + "\n",
         TASK: files.dump_task(plan.task, MACHINE),
@@ -177,6 +181,73 @@ def write(plan: Plan, out: Path, grid: tuple[int, int] | None = None) -> Path:
         TRAJECTORY: trajectory(plan.evaluation),
         REPORT: report.page(plan, grid),
     }
+    if simulation is not None:
+        texts |= simulation_page.texts(simulation, out)
+    _put(out, texts)
+    return out
+
+
+def add(run: Path, out: Path, simulation: Simulation) -> Path:
+    """Write a simulation beside the plan it drove.
+
+    Args:
+        run: The plan's run folder.
+        out: The folder to write, which may be the same; see `write`.
+        simulation: The plan driven in closed loop.
+
+    Returns:
+        The folder.
+
+    Raises:
+        InputError: The folder holds something else, or cannot be written.
+    """
+    check(out)
+    with _explained(run):
+        kept = {name: (run / name).read_text(encoding="utf-8") for name in FILES}
+    _put(out, kept | simulation_page.texts(simulation, out))
+    return out
+
+
+def read(run: Path) -> tuple[Task, Motion, str]:
+    """The task, the motion and the pump of a run folder.
+
+    Args:
+        run: The folder.
+
+    Raises:
+        InputError: It is no run folder, or its files do not fit together.
+    """
+    import csv
+    from dataclasses import replace
+
+    import numpy as np
+
+    from leanboom import files, motion
+
+    with _explained(run):
+        if not run.is_dir() or not _is_run_folder(run):
+            raise InputError(f"run = {run}; is not a run folder: make one with leanboom plan TASK --out DIR")
+        kept = json.loads((run / SUMMARY).read_text(encoding="utf-8"))
+        with (run / TRAJECTORY).open(encoding="utf-8", newline="") as stream:
+            rows = csv.DictReader(stream)
+            wanted = ("time_s", "extension_cylinder_m", "extension_cylinder_m_s")
+            try:
+                time, position, velocity = np.array([[float(row[name]) for name in wanted] for row in rows]).T
+            except (KeyError, TypeError, ValueError):
+                raise InputError(f"run = {run}; {TRAJECTORY} lacks numbers in {', '.join(wanted)}") from None
+    # What was filtered before it was judged is not filtered again.
+    task = replace(files.load_task(run / TASK), smooth=None)
+    if time.size < 2 or kept["pump"] not in ("ls", "cp"):
+        raise InputError(f"run = {run}; {TRAJECTORY} or {SUMMARY} is damaged: plan again")
+    step = float(time[-1]) / (time.size - 1)
+    found = motion.from_velocities(step, float(position[0]), velocity, str(kept["method"]), str(kept["cost"]))
+    return task, found, kept["pump"]
+
+
+def _put(out: Path, texts: Mapping[str, str]) -> None:
+    """Write the files of a folder, which appears as a whole or not at all."""
+    # Resolved once: renaming "." or "a/.." would not do what it says.
+    place = out.resolve()
     with _explained(out):
         place.parent.mkdir(parents=True, exist_ok=True)
         new = _beside(place, "new")
@@ -188,7 +259,6 @@ def write(plan: Plan, out: Path, grid: tuple[int, int] | None = None) -> Path:
         except BaseException:
             shutil.rmtree(new, ignore_errors=True)
             raise
-    return out
 
 
 def trajectory(evaluation: Evaluation) -> str:

@@ -12,8 +12,10 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
+    Discriminator,
     Field,
     ModelWrapValidatorHandler,
+    Tag,
     ValidationError,
     model_validator,
 )
@@ -23,6 +25,7 @@ from leanboom.rules import (
     Listing,
     Name,
     OneOrTwo,
+    OrMapping,
     Quantity,
     Rule,
     Start,
@@ -38,15 +41,19 @@ from leanboom.rules import (
     suggestion,
 )
 
+EFFICIENCY_MAP = "(map)"  # pydantic's word for that kind of efficiency; no key of a file
+
 Length = Annotated[float, Quantity("length")]
 PositiveLength = Annotated[float, Quantity("length", above=0)]
 LeastLength = Annotated[float, Quantity("length", least=0)]
 Angle = Annotated[float, Quantity("angle")]
 Area = Annotated[float, Quantity("area", above=0)]
+Volume = Annotated[float, Quantity("volume", above=0)]
 Number = Annotated[float, Quantity("number")]
 PositiveNumber = Annotated[float, Quantity("number", above=0)]
 Coefficient = Annotated[float, Quantity("number", least=0)]
 Share = Annotated[float, Quantity("number", least=0, most=1)]
+DeadZone = Annotated[float, Quantity("number", least=0, most=0.9)]
 Efficiency = Annotated[float, Quantity("number", above=0, most=1)]
 Mass = Annotated[float, Quantity("mass", above=0)]
 Payload = Annotated[float, Quantity("mass", least=0)]
@@ -60,9 +67,13 @@ Viscous = Annotated[float, Quantity("viscous friction", least=0)]
 Pressure = Annotated[float, Quantity("pressure", least=0)]
 PositivePressure = Annotated[float, Quantity("pressure", above=0)]
 Flow = Annotated[float, Quantity("flow", above=0)]
+Speed = Annotated[float, Quantity("rotational speed", above=0)]
+Displacement = Annotated[float, Quantity("displacement", above=0)]
 Frequency = Annotated[float, Quantity("frequency", above=0)]
 Duration = Annotated[float, Quantity("time", above=0, most=3600)]
 Time = Annotated[float, Quantity("time", least=0, most=3600)]
+PumpTime = Annotated[float, Quantity("time", above=0, most=10)]
+Delay = Annotated[float, Quantity("time", least=0, most=10)]
 Bool = Annotated[bool, Switch()]
 Words = Annotated[str, Text()]
 Identifier = Annotated[str, Name()]
@@ -80,6 +91,16 @@ Steps = Annotated[
     tuple[Length, Length, Length, Length], Listing("four lengths", "length", 4, 4), AfterValidator(rising)
 ]
 Coefficients = Annotated[tuple[Number, ...], Listing("2 to 12 numbers, highest power first", "number", 2, 12)]
+Speeds = Annotated[tuple[Speed, ...], Listing("at least one speed", "rotational speed", 1), AfterValidator(rising)]
+Displacements = Annotated[
+    tuple[Displacement, ...], Listing("at least two displacements", "displacement", 2), AfterValidator(rising)
+]
+Pressures = Annotated[
+    tuple[PositivePressure, ...], Listing("at least two pressures", "pressure", 2), AfterValidator(rising)
+]
+Efficiencies = Annotated[tuple[Efficiency, ...], Listing("efficiencies, one for each of pressures", "number", 2)]
+Table = Annotated[tuple[Efficiencies, ...], Listing("rows, one for each of displacements", "number", 2)]
+Tables = Annotated[tuple[Table, ...], Listing("tables, one for each of speeds", "number", 1)]
 Point = Annotated[tuple[Length, Length, Length], Listing("three lengths x, y, z", "length", 3, 3, bare=True)]
 Points = Annotated[tuple[Point, ...], Listing("at least two points [x, y, z]", "length", 2, bare=True)]
 Durations = Annotated[tuple[Duration, ...], Listing("at least one time", "time", 1)]
@@ -324,6 +345,21 @@ class IndependentMeteringKeys(Section):
     """The same in the closed-loop simulation."""
 
 
+class EfficiencyKeys(Section):
+    """Efficiency of pump and drive together over speed, displacement and pressure."""
+
+    speed: Speed
+    """Of the drive, from the first to the last of speeds."""
+    speeds: Speeds
+    """At which the tables were measured, rising."""
+    displacements: Displacements
+    """Delivered flow over speed, rising."""
+    pressures: Pressures
+    """Rising."""
+    total: Tables
+    """A table for each speed, in it a row for each displacement, in it a total efficiency for each pressure."""
+
+
 class PumpKeys(Section):
     """The pump."""
 
@@ -334,8 +370,12 @@ class PumpKeys(Section):
     max_pressure: PositivePressure
     max_flow: Flow
     tank_pressure: Pressure
-    efficiency: Efficiency
-    """Of pump and drive together."""
+    efficiency: Annotated[
+        Annotated[float, Tag("number")] | Annotated[EfficiencyKeys, Tag(EFFICIENCY_MAP)],
+        Discriminator(lambda value: EFFICIENCY_MAP if isinstance(value, dict) else "number"),
+        OrMapping(Quantity("number", above=0, most=1), ", ".join(EfficiencyKeys.model_fields)),
+    ]
+    """Of pump and drive together: a number, or a map over speed, displacement and pressure."""
 
 
 class DynamicsKeys(Section):
@@ -345,6 +385,35 @@ class DynamicsKeys(Section):
     """Centrifugal and Coriolis forces."""
     slewing_inertia: Bool = False
     """Inertia about the slewing axis in the base cylinder's force."""
+
+
+class CircuitKeys(Section):
+    """The hydraulics of the closed-loop simulation; what is not given is taken from the kind of valve."""
+
+    bulk_modulus: PositivePressure | None = None
+    """Effective, of oil and hoses."""
+    dead_volume: Volume | None = None
+    """Chamber and hose with the piston at its end."""
+    line_volume: Volume | None = None
+    """Between pump and valves."""
+    pump_time_constant: PumpTime | None = None
+    """Of the supply pressure."""
+    edge_flow: Flow | None = None
+    """Flow of a fully open valve edge at its compensated pressure drop."""
+    edge_drop: PositivePressure | None = None
+    """That drop; a mobile valve's compensator_drop counts instead."""
+    spool_bandwidth: Frequency | None = None
+    """Of the spool behind its command."""
+    delay: Delay | None = None
+    """From a command to the spool's first movement; at least one sample of 2 ms."""
+    dead_zone: DeadZone | None = None
+    """Share of the spool's travel that opens nothing."""
+    counter_pressure: Pressure | None = None
+    """Of the return line above the tank."""
+    seal_friction: Share | None = None
+    """Coulomb friction beside planning's, as a share of the cylinder's force at constant pressure."""
+    seal_damping: Share | None = None
+    """Viscous friction at the velocity limit beside planning's, as a share of the same force."""
 
 
 class Bodies(Rule):
@@ -379,6 +448,7 @@ class MachineKeys(Section):
     driven_velocity: Velocity
     """Slower cylinders count as not driven."""
     dynamics: DynamicsKeys = DynamicsKeys()
+    simulation: CircuitKeys = CircuitKeys()
     gravity: Gravity = 9.80665
 
 

@@ -17,6 +17,7 @@ from leanboom import crane as cranes
 from leanboom import hydraulics, kernels, kinematics
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.objective import COSTS
+from leanboom.shaft import shaft_of
 from leanboom.task import Task, sample
 
 SAMPLES = 257  # extensions looked at when searching the feasible ones
@@ -264,9 +265,10 @@ def setting(problem: Problem, cost: str, slopes: tuple[float, float, float, floa
     """The kernels' scalars; slopes are the penalties per violated m, m/s (state), m/s and m/s^2 (cylinders)."""
     machine = problem.crane.machine
     pump = machine.pump
+    efficiency, *losses = shaft_of(pump)
     return np.array(
         [problem.step, COSTS[cost], HELD * machine.driven_velocity, pump.constant_pressure, pump.ls_margin,
-         pump.efficiency, *slopes]
+         efficiency, *slopes, *losses]
     )  # fmt: skip
 
 

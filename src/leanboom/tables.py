@@ -13,7 +13,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from leanboom import inspection
+from leanboom import inspection, shaft
+from leanboom.machine import EfficiencyMap
 from leanboom.source import shortened
 from leanboom.task import Spline, written
 
@@ -21,11 +22,13 @@ if TYPE_CHECKING:
     from leanboom.comparison import Comparison, Row
     from leanboom.experiments import Line
     from leanboom.judge import Evaluation
-    from leanboom.machine import Machine
+    from leanboom.machine import Machine, Pump
     from leanboom.planner import Plan
     from leanboom.reproduction import Reproduction
+    from leanboom.simulation import Simulation
     from leanboom.task import Task
 
+EVENTS_SHOWN = 12
 PIPE_WIDTH = 160  # of tables that do not go to a terminal
 PUMPS = {"ls": "load-sensing pump", "cp": "constant-pressure pump"}
 
@@ -132,6 +135,46 @@ def _start(task: Task) -> str:
     return task.start if isinstance(task.start, str) else _length(task.start)
 
 
+def simulation(console: Console, run: Simulation, out: Path | None) -> None:
+    """A simulated run beside its plan.
+
+    Args:
+        console: Where to print.
+        run: The run.
+        out: Its folder, if it has one.
+    """
+    name = shortened(run.task.name, 80)
+    _say(console, f"{name}: {shortened(run.task.machine.name, 80)}, {PUMPS[run.pump]}, closed loop", "bold")
+    console.print()
+    change = f"{100.0 * (run.energy / run.planned_energy - 1.0):+.1f} %" if run.planned_energy > 0.0 else "-"
+    errors = ", ".join(
+        f"{joint} {error:.4f} {'m' if joint == 'extension' else 'rad'}"
+        for joint, error in zip(run.task.machine.names, run.joint_error, strict=True)
+    )
+    facts = (
+        ("Energy", f"{run.energy / 1e3:.2f} kJ simulated, {run.planned_energy / 1e3:.2f} kJ planned ({change})"),
+        ("Method", f"{run.motion.method}, minimising {run.motion.cost}"),
+        ("Path accuracy", f"{run.path_accuracy:.3f} m (ISO 9283)"),
+        ("Largest joint errors", errors),
+        ("Energy balance", f"{100.0 * run.balance_error:.4f} % not found again"),
+        ("Simulated in", f"{run.wall_s:.2f} s, {run.realtime_factor:.0f} times faster than real time"),
+    )
+    for label, text in facts:
+        _say(console, f"{label:<22}{text}")
+    if not run.planned.feasible:
+        _say(console, f"{'Note':<22}the plan breaks a limit: {shortened(run.planned.status, 300)}", "yellow")
+    for event in run.events[:EVENTS_SHOWN]:
+        _say(
+            console,
+            f"{'Event':<22}{event.time:.2f} s, for {event.duration:.2f} s: {shortened(event.text, 300)}",
+            "yellow",
+        )
+    if len(run.events) > EVENTS_SHOWN:
+        _say(console, f"{'':<22}and {len(run.events) - EVENTS_SHOWN} more events", "yellow")
+    if out is not None:
+        _say(console, f"{'Report':<22}{shortened(str(out / 'simulation.html'), 400)}")
+
+
 def comparison(console: Console, result: Comparison, out: Path | None) -> None:
     """The rows of a comparison, sorted, a table a start and pump.
 
@@ -148,11 +191,14 @@ def comparison(console: Console, result: Comparison, out: Path | None) -> None:
             _say(console, f"{name}: {PUMPS[pump]}, {where} start, {task.duration:g} s", "bold")
             console.print()
             best = result.best(pump, start)
-            table = _table("Method (minimised cost)", "energy\nkJ", "relative", "solved\ns", "", numbers=4)
+            more = ("simulated\nkJ",) if any(row.simulated is not None for row in result.rows) else ()
+            table = _table(
+                "Method (minimised cost)", "energy\nkJ", "relative", *more, "solved\ns", "", numbers=4 + len(more)
+            )
             table.columns[-1].justify = "left"
             table.columns[-1].no_wrap = False
             for row in result.block(pump, start):
-                _row(table, *_compared(row, best))
+                _row(table, *_compared(row, best, bool(more)))
             console.print(table)
             if best is None:
                 _say(console, "No method found a motion that keeps every limit.", "red")
@@ -162,14 +208,16 @@ def comparison(console: Console, result: Comparison, out: Path | None) -> None:
     _say(console, f"{inspection.assumed(task.machine)}.")
 
 
-def _compared(row: Row, best: Row | None) -> list[str]:
+def _compared(row: Row, best: Row | None, simulated: bool) -> list[str]:
     """The cells of a comparison's row."""
     energy, least = row.energy, None if best is None else best.energy
     seconds = row.summary["solve_s"]
+    driven = "-" if row.simulated is None else f"{row.simulated / 1e3:.2f}"
     return [
         row.label,
         "-" if energy is None else f"{energy / 1e3:.2f}",
         "-" if energy is None or not least else f"{energy / least:.3f}",
+        *([driven] if simulated else []),
         "-" if seconds is None else f"{seconds:.1f}",
         "best" if row is best else "" if row.feasible else row.status,
     ]
@@ -236,9 +284,27 @@ def machine_facts(machine: Machine) -> dict[str, Any]:
             "ls_margin_pa": machine.pump.ls_margin,
             "max_pressure_pa": machine.pump.max_pressure,
             "max_flow_m3_s": machine.pump.max_flow,
-            "efficiency": machine.pump.efficiency,
+            "efficiency": _efficiency(machine.pump),
         },
         "values": inspection.count(machine),
+    }
+
+
+def _efficiency(pump: Pump) -> Any:
+    """The constant efficiency, or what became of a map."""
+    if not isinstance(pump.efficiency, EfficiencyMap):
+        return pump.efficiency
+    met = shaft.fit(pump.efficiency)
+    return {
+        "speed_rev_s": pump.efficiency.speed,
+        "shaft": {
+            "efficiency": met.shaft.efficiency,
+            "idle_w": met.shaft.idle,
+            "leak_w_per_pa": met.shaft.leak,
+            "drag_w_s2_m6": met.shaft.drag,
+        },
+        "typical_error": met.typical,
+        "largest_error": met.largest,
     }
 
 
@@ -298,6 +364,7 @@ def machine_detail(console: Console, machine: Machine) -> None:
         f"Pump      at most {pump.max_pressure / 1e6:g} MPa and {pump.max_flow * 6e4:.0f} l/min, load-sensing margin "
         f"{pump.ls_margin / 1e6:g} MPa, constant pressure {pump.constant_pressure / 1e6:g} MPa",
     )
+    _say(console, f"Drive     efficiency {inspection.efficiency(machine)}")
     console.print()
     table = _table("Joint", "Connection", "range", "areas\ncm^2", "stroke\nm", "limit\nm/s", "limit\nm/s^2", numbers=5)
     for joint, cylinder in zip(machine.joints, machine.cylinders, strict=True):
@@ -404,6 +471,7 @@ def _machine_report(console: Console, machine: Machine) -> None:
     held = ", ".join(f"{name} {pressure / 1e6:.1f} MPa" for name, pressure in pairs if pressure > 0.0)
     _say(console, f"Held at reach     {held or 'no pressure needed'} (empty, at rest)")
     _say(console, f"Lifts at reach    {reach.capacity:.0f} kg more, with the load-sensing margin kept")
+    _say(console, f"Pump efficiency   {inspection.efficiency(machine)}")
     for doubt in inspection.doubts(machine):
         _say(console, f"Doubtful          {doubt}", "yellow")
     console.print()

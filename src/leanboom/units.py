@@ -28,6 +28,7 @@ KINDS = {
         Kind("length", "m", "610 mm"),
         Kind("angle", "rad", "-0.425 rad"),
         Kind("area", "m^2", "103.87 cm^2"),
+        Kind("volume", "m^3", "1.5 l"),
         Kind("mass", "kg", "370 kg"),
         Kind("inertia", "kg m^2", "420 kg m^2"),
         Kind("time", "s", "0.05 s"),
@@ -37,6 +38,8 @@ KINDS = {
         Kind("force", "N", "6 kN"),
         Kind("pressure", "Pa", "21.5 MPa"),
         Kind("flow", "m^3/s", "325 l/min"),
+        Kind("rotational speed", "rev/s", "1800 rev/min"),
+        Kind("displacement", "m^3/rev", "45 cm^3/rev"),
         Kind("sharpness", "s/m", "2000 s/m"),
         Kind("viscous friction", "N s/m", "330 N s/m"),
         Kind("number", "", "0.5"),
@@ -60,6 +63,8 @@ gram = [mass] = g
 tonne = 1e3 * kilogram = t
 radian = [angle] = rad
 degree = {Fraction(pi / 180)} * radian = deg
+revolution = {Fraction(pi / 180) * 360} * radian = rev
+revolutions_per_minute = revolution / minute = rpm
 liter = 1e-3 * meter ** 3 = l = L = litre
 newton = kilogram * meter / second ** 2 = N
 pascal = newton / meter ** 2 = Pa

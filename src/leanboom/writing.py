@@ -12,6 +12,8 @@ from pydantic import ValidationError
 from leanboom.consistency import SIZE_KEYS, areas
 from leanboom.errors import InputError
 from leanboom.machine import (
+    METERING,
+    Circuit,
     Cylinder,
     FourBar,
     Linkage,
@@ -23,7 +25,7 @@ from leanboom.machine import (
     Telescope,
 )
 from leanboom.rules import Rule, rule_of
-from leanboom.schema import CylinderKeys, MachineKeys, Section, TaskKeys
+from leanboom.schema import EFFICIENCY_MAP, CylinderKeys, MachineKeys, Section, TaskKeys
 from leanboom.source import STATUSES, Key, dotted, scalar, shortened
 from leanboom.task import Spline, Task, written
 from leanboom.units import KINDS, parse, write
@@ -49,6 +51,7 @@ def machine_text(machine: Machine) -> str:
         "pump": asdict(machine.pump),
         "driven_velocity": machine.driven_velocity,
         "dynamics": {"coriolis": machine.coriolis, "slewing_inertia": machine.slewing_inertia},
+        "simulation": _circuit(machine, origin),
         "gravity": machine.gravity,
     }
     keys = _validated(MachineKeys, data, f"machine {machine.name}")
@@ -77,9 +80,14 @@ def _validated(model: type[Section], data: dict[str, Any], what: str) -> Any:
     except ValidationError as error:
         found = error.errors(include_url=False)
         problems = [
-            f"{what}: {dotted(line['loc'])} = {line['input']}; {line.get('ctx', {}).get('allowed')}" for line in found
+            f"{what}: {dotted(_key(line['loc']))} = {line['input']}; {line.get('ctx', {}).get('allowed')}"
+            for line in found
         ]
         raise InputError("\n".join(problems)) from None
+
+
+def _key(loc: tuple[str | int, ...]) -> Key:
+    return tuple(step for step in loc if step != EFFICIENCY_MAP)
 
 
 def _without(values: dict[str, Any], *names: str) -> dict[str, Any]:
@@ -91,6 +99,16 @@ def _cylinder(cylinder: Cylinder, origin: dict[str, Provenance]) -> dict[str, An
     linkage = {"type": _linkage_type(cylinder.linkage), **asdict(cylinder.linkage)}
     values |= {"linkage": linkage, "connection": cylinder.connection.value}
     return _size(cylinder, origin) | values
+
+
+def _circuit(machine: Machine, origin: dict[str, Provenance]) -> dict[str, Any]:
+    """What was given for the simulation, or changed since."""
+    defaults = asdict(Circuit() if isinstance(machine.valve, MobileValve) else METERING)
+    return {
+        name: value
+        for name, value in asdict(machine.circuit).items()
+        if value != defaults[name] or f"simulation.{name}" in origin
+    }
 
 
 def _linkage_type(linkage: Linkage) -> str:
@@ -146,13 +164,24 @@ def _entry(value: Any, key: Key, rule: Rule, origin: dict[str, Provenance]) -> l
         return [name] + [line for inner, part in value.items() for line in _entry(part, (*key, inner), rule, origin)]
     if not isinstance(value, tuple):
         return [f"{name} {_scalar(value, key, rule, origin)}{_comment(value, key, rule, origin)}"]
-    if isinstance(value[0], tuple):
-        return [name] + [f"{indent}  - {_flow(row, (*key, i), rule, origin)}" for i, row in enumerate(value)]
-    comments = [_comment(part, (*key, i), rule, origin) for i, part in enumerate(value)]
-    if len(set(comments)) == 1:
-        return [f"{name} {_flow(value, key, rule, origin)}{comments[0]}"]
-    rows = [_scalar(part, (*key, i), rule, origin) for i, part in enumerate(value)]
-    return [name] + [f"{indent}  - {row}{comment}" for row, comment in zip(rows, comments, strict=True)]
+    return _listed(name, value, key, rule, origin)
+
+
+def _listed(lead: str, values: tuple, key: Key, rule: Rule, origin: dict[str, Provenance]) -> list[str]:
+    """Lines of a list after its key or dash: in one line if one comment speaks for all its values."""
+    if not isinstance(values[0], tuple):
+        comments = {_comment(part, (*key, i), rule, origin) for i, part in enumerate(values)}
+        if len(comments) == 1:
+            return [f"{lead} {_flow(values, key, rule, origin)}{comments.pop()}"]
+    lines = [lead]
+    dash = " " * (len(lead) - len(lead.lstrip()) + 2) + "-"
+    for i, part in enumerate(values):
+        here = (*key, i)
+        if isinstance(part, tuple):
+            lines += _listed(dash, part, here, rule, origin)
+        else:
+            lines.append(f"{dash} {_scalar(part, here, rule, origin)}{_comment(part, here, rule, origin)}")
+    return lines
 
 
 def _flow(values: tuple, key: Key, rule: Rule, origin: dict[str, Provenance]) -> str:

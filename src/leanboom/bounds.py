@@ -1,0 +1,487 @@
+"""Compiled kernels of the certificate: rigorous lower bounds of the cost to go over cells of the state space.
+
+A stage's (position, velocity) domain is cut into cells. Over each cell the cost to go of every admissible motion is
+bounded from below by a plane, L(c, w) = level + slope_c (c - c_m) + slope_w (w - w_m) with (c_m, w_m) the cell's
+middle. `docs/certificate.md` derives what is computed here and proves it.
+
+A transition leads from a cell to a velocity row and a position column of the next stage. Within its box
+
+    t in [-1, 1]: position within the cell,   x: velocity from the cell's middle,   y: next velocity from its middle,
+
+everything is affine in (t, x, y) up to a bounded error, so the least value is attained at corners. What is not
+affine enters by multipliers, for which every value gives a valid bound and `ascend` finds the best: sigma (pump flow
+of a cylinder that may move either way), lambda (which counted pressure is the highest), mu (acceleration limits).
+
+Kernels know no machine and no task; arrays in, caller-owned arrays out, no interpreter lock. Rows of positions are
+independent, so threads may share a stage.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from leanboom.formula import enable_in_kernels
+from leanboom.kernels import (
+    A0,
+    A1,
+    A_MAX,
+    AREA_IN,
+    AREA_OUT,
+    B0,
+    B1,
+    B2,
+    B3,
+    BACK_IN,
+    BACK_OUT,
+    COEFFICIENTS,
+    COST,
+    COULOMB,
+    EFFICIENCY,
+    EPSILON,
+    F0,
+    F1,
+    F2,
+    F3,
+    GAIN_IN,
+    GAIN_OUT,
+    LS,
+    MARGIN,
+    SHARPNESS,
+    STEP,
+    SUPPLY_CP,
+    V_MAX,
+    VISCOUS,
+)
+
+enable_in_kernels()
+
+# Entries of a lattice: one stage's cells. Window: first row and column present in the arrays of that stage.
+L_C, L_DC, L_W, L_DW, L_I, L_J = range(6)
+LATTICE = 6
+# What a pass over a stage's cells finds.
+MIDDLE, PLANE, FORWARD = range(3)
+
+# Columns of the scratch arrays of a cell, one row a moving cylinder.
+V_M, V_T, V_X, V_E, V_SIDE = range(5)  # velocity: middle, slopes, error; direction: +1, -1, 0 unknown
+P_M, P_T, P_X, P_E, P_U, P_UT, P_UE, P_BACK, P_GAIN = range(5, 14)  # load along the motion, by acceleration; line
+MOTION = 14
+ON_LIMIT = 1e-9  # [m], how far beyond a limit a position may lie, as for the feasible extensions
+# Rows of the forms of a transition: supply pressure candidates as constant, t, x, y.
+FORM = 4
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def expand(model, i, coefficients):
+    """Coefficients over position cell i as a line in t: value, slope, error. The bend is halved, p2 t^2 <= |p2|."""
+    for m in range(coefficients.shape[0]):
+        for q in range(COEFFICIENTS):
+            bend = 0.5 * model[i, m, q, 2]
+            coefficients[m, q, 0] = model[i, m, q, 0] + bend
+            coefficients[m, q, 1] = model[i, m, q, 1]
+            coefficients[m, q, 2] = model[i, m, q, 3] + abs(bend)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def column_velocities(coefficients, cylinder, low, high):
+    """Velocities of the redundant cylinder that keep every velocity limit somewhere in a position cell."""
+    for m in range(coefficients.shape[0]):
+        a0, a1, limit = coefficients[m, A0], coefficients[m, A1], cylinder[m, V_MAX]
+        reach0, reach1 = abs(a0[1]) + a0[2], abs(a1[1]) + a1[2]
+        # a1 w <= limit - a0 and a1 w >= -limit - a0, for some a0 and a1 of the cell.
+        top, bottom = limit - (a0[0] - reach0), -limit - (a0[0] + reach0)
+        if a1[0] < 0.0:
+            top, bottom = -bottom, -top
+        small, large = abs(a1[0]) - reach1, abs(a1[0]) + reach1
+        if small > 0.0:
+            high = min(high, top / (small if top > 0.0 else large))
+            low = max(low, bottom / (small if bottom < 0.0 else large))
+    return low, high
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def cell_motion(coefficients, cylinder, setting, w, half, motion):
+    """Velocities, loads and admissible accelerations over a cell; `motion` is filled row by row.
+
+    Returns:
+        Bounds of the accelerations of the redundant cylinder that some state of the cell admits [m/s^2].
+    """
+    lo, hi = -np.inf, np.inf
+    top = abs(w) + half
+    pressures = int(setting[COST]) == LS
+    for m in range(coefficients.shape[0]):
+        row = coefficients[m]
+        motion[m, V_M] = row[A0, 0] + row[A1, 0] * w
+        motion[m, V_T] = row[A0, 1] + row[A1, 1] * w
+        motion[m, V_X] = row[A1, 0]
+        motion[m, V_E] = row[A0, 2] + row[A1, 2] * top + abs(row[A1, 1]) * half
+        # |b0 + b1 w + b2 w^2 + b3 u| <= limit for some state of the cell.
+        b = row[B0, 0] + w * (row[B1, 0] + w * row[B2, 0])
+        spread = abs(row[B0, 1] + w * (row[B1, 1] + w * row[B2, 1]))
+        spread += half * (abs(row[B1, 0] + 2.0 * w * row[B2, 0]) + abs(row[B1, 1] + 2.0 * w * row[B2, 1]))
+        spread += half * half * (abs(row[B2, 0]) + abs(row[B2, 1]))
+        spread += row[B0, 2] + top * (row[B1, 2] + top * row[B2, 2])
+        limit = cylinder[m, A_MAX]
+        most, least = limit - (b - spread), -limit - (b + spread)
+        if row[B3, 0] < 0.0:
+            most, least = -least, -most
+        reach = abs(row[B3, 1]) + row[B3, 2]
+        small, large = abs(row[B3, 0]) - reach, abs(row[B3, 0]) + reach
+        if small > 0.0:
+            hi = min(hi, most / (small if most > 0.0 else large))
+            lo = max(lo, least / (small if least < 0.0 else large))
+        # Which way the cylinder moves, and whether it surely counts as driven.
+        reach = abs(motion[m, V_T]) + abs(motion[m, V_X]) * half + motion[m, V_E]
+        slow, fast = motion[m, V_M] - reach, motion[m, V_M] + reach
+        motion[m, V_SIDE] = 1.0 if slow >= 0.0 else (-1.0 if fast <= 0.0 else 0.0)
+        motion[m, P_GAIN] = 0.0
+        motion[m, P_BACK] = 0.0
+        if not pressures:
+            continue
+        side = 0.0
+        if slow > setting[EPSILON]:
+            side = 1.0
+            motion[m, P_GAIN], motion[m, P_BACK] = cylinder[m, GAIN_OUT], cylinder[m, BACK_OUT]
+        elif fast < -setting[EPSILON]:
+            side = -1.0
+            motion[m, P_GAIN], motion[m, P_BACK] = cylinder[m, GAIN_IN], cylinder[m, BACK_IN]
+        if side == 0.0 or (motion[m, P_GAIN] == 0.0 and motion[m, P_BACK] == 0.0):
+            motion[m, P_GAIN] = -1.0  # no pressure to count on
+            continue
+        # Load along the motion, side (f0 + f1 w + f2 w^2 + f3 u + friction), friction rising from slow to fast.
+        grip_slow, grip_fast = np.tanh(cylinder[m, SHARPNESS] * slow), np.tanh(cylinder[m, SHARPNESS] * fast)
+        grip, slip = 0.5 * (grip_slow + grip_fast), 0.5 * (grip_fast - grip_slow)
+        motion[m, P_M] = row[F0, 0] + w * (row[F1, 0] + w * row[F2, 0]) + grip * row[COULOMB, 0]
+        motion[m, P_M] += cylinder[m, VISCOUS] * motion[m, V_M]
+        motion[m, P_T] = row[F0, 1] + w * (row[F1, 1] + w * row[F2, 1]) + grip * row[COULOMB, 1]
+        motion[m, P_T] += cylinder[m, VISCOUS] * motion[m, V_T]
+        motion[m, P_X] = row[F1, 0] + 2.0 * w * row[F2, 0] + cylinder[m, VISCOUS] * motion[m, V_X]
+        motion[m, P_E] = row[F0, 2] + top * (row[F1, 2] + top * row[F2, 2]) + cylinder[m, VISCOUS] * motion[m, V_E]
+        motion[m, P_E] += half * abs(row[F1, 1] + 2.0 * w * row[F2, 1])
+        motion[m, P_E] += half * half * (abs(row[F2, 0]) + abs(row[F2, 1]))
+        motion[m, P_E] += abs(grip) * row[COULOMB, 2] + slip * (
+            abs(row[COULOMB, 0]) + abs(row[COULOMB, 1]) + row[COULOMB, 2]
+        )
+        motion[m, P_U], motion[m, P_UT], motion[m, P_UE] = row[F3, 0], row[F3, 1], row[F3, 2]
+        if side < 0.0:
+            for column in (P_M, P_T, P_X, P_U, P_UT):
+                motion[m, column] = -motion[m, column]
+    return lo, hi
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def lowest(form, box):
+    """Least value of an affine form over a box of (t, x, y), (2, 3)."""
+    total = form[0]
+    for v in range(3):
+        g = form[v + 1]
+        total += g * (box[0, v] if g > 0.0 else box[1, v])
+    return total
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def ascend(form, direction, low, high, box):
+    """Add the multiple of `direction` within [low, high] that raises the least value over the box most.
+
+    The least value is concave and piecewise linear in the multiplier: its corners are where a slope vanishes.
+    """
+    best, chosen = lowest(form, box), 0.0
+    for v in range(-1, 4):
+        if v == -1:
+            multiplier = low
+        elif v == 3:
+            multiplier = high
+        elif direction[v + 1] != 0.0:
+            multiplier = min(max(-form[v + 1] / direction[v + 1], low), high)
+        else:
+            continue
+        if multiplier == 0.0 or abs(multiplier) == np.inf:
+            continue
+        total = form[0] + multiplier * direction[0]
+        for q in range(3):
+            g = form[q + 1] + multiplier * direction[q + 1]
+            total += g * (box[0, q] if g > 0.0 else box[1, q])
+        if total > best:
+            best, chosen = total, multiplier
+    if chosen != 0.0:
+        for q in range(FORM):
+            form[q] += chosen * direction[q]
+    return chosen
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def velocity_columns(model, cylinder, columns):
+    """Bounds of the admissible velocities over every position cell of a window, `columns` (rows, 2) [m/s]."""
+    coefficients = np.empty((*model.shape[1:3], 3))
+    for p in range(columns.shape[0]):
+        expand(model, p, coefficients)
+        columns[p, 0], columns[p, 1] = column_velocities(coefficients, cylinder, columns[p, 0], columns[p, 1])
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def cell_flow(motion, cylinder, half, flow, sigma):
+    """Plane below the pump flow over a cell: middle, slope by t, by x, bounds of both slopes for any sigma."""
+    f0, ft, fx = flow, 0.0, 0.0
+    loose_t, loose_x = 0.0, 0.0
+    for m in range(motion.shape[0]):
+        side, out, back = motion[m, V_SIDE], cylinder[m, AREA_OUT], cylinder[m, AREA_IN]
+        if side == 0.0:
+            reach = abs(motion[m, V_T]) + abs(motion[m, V_X]) * half + motion[m, V_E]
+            fast, slow = motion[m, V_M] + reach, motion[m, V_M] - reach
+            area = (out * fast + back * slow) / (fast - slow)
+            largest = max(out, back)
+        else:
+            area = out if side > 0.0 else -back
+            largest = abs(area)
+        if (
+            not area * motion[m, V_M] + largest * (abs(motion[m, V_X]) * half + abs(motion[m, V_T]))
+            > largest * motion[m, V_E]
+        ):
+            motion[m, V_SIDE] = 1.0
+            continue  # bounds too wide to say more than that flow is not negative
+        f0 -= largest * motion[m, V_E]
+        loose_t += largest * abs(motion[m, V_T])
+        loose_x += largest * abs(motion[m, V_X])
+        sigma[m] = area
+        f0 += area * motion[m, V_M]
+        ft += area * motion[m, V_T]
+        fx += area * motion[m, V_X]
+    return f0, ft, fx, loose_t, loose_x
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def supply_forms(motion, setting, fixed, u0, u_lo, u_hi, box, forms):
+    """Affine lower bounds of the supply pressure over a transition's box; returns how many."""
+    step = setting[STEP]
+    if int(setting[COST]) != LS:
+        forms[0, 0] = setting[SUPPLY_CP]
+        forms[0, 1:] = 0.0
+        return 1
+    forms[0, 0] = fixed + setting[MARGIN]
+    forms[0, 1:] = 0.0
+    count = 1
+    tm, xm = max(-box[0, 0], box[1, 0]), max(-box[0, 1], box[1, 1])
+    um, du = max(abs(u_lo), abs(u_hi)), max(abs(u_lo - u0), abs(u_hi - u0))
+    for m in range(motion.shape[0]):
+        gain = motion[m, P_GAIN]
+        if gain < 0.0:
+            continue
+        error = motion[m, P_E] + motion[m, P_UE] * um
+        pull = motion[m, P_U]
+        least = motion[m, P_M] + min(pull * u_lo, pull * u_hi) - error
+        least -= tm * (abs(motion[m, P_T]) + abs(motion[m, P_UT]) * um) + xm * abs(motion[m, P_X])
+        if least <= 0.0:
+            continue  # may run free: nothing to count on
+        form = forms[count]
+        form[0] = motion[m, P_M] + pull * u0 - error - tm * abs(motion[m, P_UT]) * du
+        form[0] = setting[MARGIN] + motion[m, P_BACK] + gain * form[0]
+        form[1] = gain * (motion[m, P_T] + motion[m, P_UT] * u0)
+        form[2] = gain * (motion[m, P_X] - pull / step)
+        form[3] = gain * pull / step
+        if lowest(form, box) > 0.0:
+            count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def low_end(drift, half_c, step, box):
+    """Smallest next position of a box."""
+    return drift + half_c * box[0, 0] + 0.5 * step * (box[0, 1] + box[0, 2])
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def high_end(drift, half_c, step, box):
+    """Largest next position of a box."""
+    return drift + half_c * box[1, 0] + 0.5 * step * (box[1, 1] + box[1, 2])
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def sharpen(  # noqa: PLR0913
+    form, count, chosen, forms, supply, f0, ft, fx, sigma, motion, cylinder, rate, turn, box, direction
+):
+    """Raise the least value of a transition's form by its multipliers lambda, sigma and mu."""
+    for q in range(count):
+        if q == chosen:
+            continue
+        rise0, rise1 = forms[q, 0] - supply[0], forms[q, 1] - supply[1]
+        rise2, rise3 = forms[q, 2] - supply[2], forms[q, 3] - supply[3]
+        direction[0] = rate * f0 * rise0
+        direction[1] = rate * (f0 * rise1 + ft * rise0)
+        direction[2] = rate * (f0 * rise2 + fx * rise0)
+        direction[3] = rate * f0 * rise3
+        share = ascend(form, direction, 0.0, 1.0, box)
+        if share != 0.0:
+            supply[0] += share * rise0
+            supply[1] += share * rise1
+            supply[2] += share * rise2
+            supply[3] += share * rise3
+    for m in range(motion.shape[0]):
+        if motion[m, V_SIDE] == 0.0:
+            middle = motion[m, V_M]
+            direction[0] = rate * middle * supply[0]
+            direction[1] = rate * (middle * supply[1] + motion[m, V_T] * supply[0])
+            direction[2] = rate * (middle * supply[2] + motion[m, V_X] * supply[0])
+            direction[3] = rate * middle * supply[3]
+            ascend(form, direction, -cylinder[m, AREA_IN] - sigma[m], cylinder[m, AREA_OUT] - sigma[m], box)
+    for side in range(2):
+        sign = 1.0 if side == 0 else -1.0
+        if turn[side] + (box[1, 2] - box[0, 1] if side == 0 else box[1, 1] - box[0, 2]) > 0.0:
+            direction[0], direction[1], direction[2], direction[3] = turn[side], 0.0, -sign, sign
+            ascend(form, direction, 0.0, np.inf, box)
+    return lowest(form, box)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def cells(  # noqa: PLR0913
+    kind, first, last, model, here, there, columns, columns_ahead, fixed, cylinder, setting, limit, active,
+    planes, ahead, found,
+):  # fmt: skip
+    """One pass over the cells of a stage, rows `first` to `last` - 1 of its window.
+
+    Args:
+        kind: MIDDLE: least cost to go from each cell's middle, for slopes. PLANE: levels of the planes whose slopes
+            are given. FORWARD: least excess with which cells of the next stage are reached.
+        first, last: Rows.
+        model: Enclosures of the stage's coefficients over position cells, (rows, moving, COEFFICIENTS, 4).
+        here, there: Lattices of this and the next stage, (LATTICE,).
+        columns, columns_ahead: Admissible velocities over position cells of both windows [m/s], (rows, 2).
+        fixed: Flow [m^3/s] and counted pressure [Pa] of the prescribed cylinders, (2,).
+        cylinder: (moving, CYLINDER_COLUMNS).
+        setting: Scalars, (SETTINGS,).
+        limit: FORWARD: excess beyond which nothing is passed on [J].
+        active: Cells to look at, finite; FORWARD: the excess they are reached with [J]; (rows, columns).
+        planes: Level [J] and slopes [J/m], [J s/m] of the cells' planes, and floors [J], (rows, columns, 4).
+        ahead: The same of the next stage; level inf where no motion may pass, (rows, columns, 4).
+        found: Out. MIDDLE, PLANE: values [J], (rows, columns). FORWARD: excess of the next stage, lowered in place.
+    """
+    n = model.shape[1]
+    step = setting[STEP]
+    coefficients, motion = np.empty((n, COEFFICIENTS, 3)), np.zeros((n, MOTION))
+    box, whole = np.zeros((2, 3)), np.zeros((2, 3))
+    forms, supply = np.zeros((n + 1, FORM)), np.zeros(FORM)
+    form, direction = np.zeros(FORM), np.zeros(FORM)
+    sigma, turn = np.zeros(n), np.zeros(2)
+    rate = step / setting[EFFICIENCY]
+    dc, dw, half_c, half = here[L_DC], here[L_DW], 0.5 * here[L_DC], 0.5 * here[L_DW]
+    next_dc, next_dw, next_half = there[L_DC], there[L_DW], 0.5 * there[L_DW]
+    i_ahead, j_ahead = int(there[L_I]), int(there[L_J])
+    inverse = 1.0 / half_c
+    lead = 0
+    for p in range(first, last):
+        expand(model, p, coefficients)
+        c = here[L_C] + (here[L_I] + p + 0.5) * dc
+        for r in range(active.shape[1]):
+            if active[p, r] == np.inf:
+                continue
+            w = here[L_W] + (here[L_J] + r + 0.5) * dw
+            best = np.inf
+            # Excess so far less the level; where the floor is above the plane, less by how much at most.
+            rise = 0.5 * (abs(planes[p, r, 1]) * dc + abs(planes[p, r, 2]) * dw)
+            so_far = active[p, r] - max(planes[p, r, 0], planes[p, r, 3] + rise)
+            whole[0, 0], whole[1, 0] = -1.0, 1.0
+            whole[0, 1], whole[1, 1] = max(-half, columns[p, 0] - w), min(half, columns[p, 1] - w)
+            if kind == MIDDLE:
+                whole[:, :2] = 0.0
+            lo, hi = cell_motion(coefficients, cylinder, setting, w, half, motion)
+            if lo <= hi and whole[0, 1] <= whole[1, 1]:
+                f0, ft, fx, loose_t, loose_x = cell_flow(motion, cylinder, half, fixed[0], sigma)
+                slowest, fastest = w + whole[0, 1] + step * lo, w + whole[1, 1] + step * hi
+                if next_dw > 0.0:
+                    j_first = int(np.floor((slowest - there[L_W]) / next_dw))
+                    j_last = int(np.floor((fastest - there[L_W]) / next_dw))
+                else:
+                    j_first, j_last = 0, (0 if slowest <= there[L_W] <= fastest else -1)
+                j_first, j_last = max(j_first, int(there[L_J])), min(j_last, int(there[L_J]) + ahead.shape[1] - 1)
+                tried = j_last - j_first + 1
+                begin = min(lead, max(tried - 1, 0))
+                for visit in range(tried):
+                    j = j_first + (visit + begin) % tried
+                    next_w = there[L_W] + (j + 0.5) * next_dw
+                    whole[0, 2] = max(-next_half, slowest - next_w)
+                    whole[1, 2] = min(next_half, fastest - next_w)
+                    u0 = (next_w - w) / step
+                    u_lo = max(lo, u0 + (whole[0, 2] - whole[1, 1]) / step)
+                    u_hi = min(hi, u0 + (whole[1, 2] - whole[0, 1]) / step)
+                    if u_lo > u_hi or whole[0, 2] > whole[1, 2]:
+                        continue
+                    turn[0], turn[1] = next_w - w - step * hi, step * lo - (next_w - w)
+                    count = supply_forms(motion, setting, fixed[1], u0, u_lo, u_hi, whole, forms)
+                    chosen = 0
+                    rest = 0.0
+                    for q in range(count):
+                        if forms[q, 0] > forms[chosen, 0]:
+                            chosen = q
+                        reach = max(-whole[0, 0], whole[1, 0]) * abs(forms[q, 1])
+                        reach += max(-whole[0, 1], whole[1, 1]) * abs(forms[q, 2])
+                        reach += max(-whole[0, 2], whole[1, 2]) * abs(forms[q, 3])
+                        rest = max(rest, reach)
+                    rest *= whole[1, 0] * loose_t + max(-whole[0, 1], whole[1, 1]) * loose_x
+                    drift = c + 0.5 * step * (w + next_w)
+                    low = drift + half_c * whole[0, 0] + 0.5 * step * (whole[0, 1] + whole[0, 2]) - ON_LIMIT
+                    high = drift + half_c * whole[1, 0] + 0.5 * step * (whole[1, 1] + whole[1, 2]) + ON_LIMIT
+                    i_first = max(int(np.floor((low - there[L_C]) / next_dc)), int(there[L_I]))
+                    i_last = min(int(np.floor((high - there[L_C]) / next_dc)), int(there[L_I]) + ahead.shape[0] - 1)
+                    supply_m, supply_t = forms[chosen, 0], forms[chosen, 1]
+                    supply_x, supply_y = forms[chosen, 2], forms[chosen, 3]
+                    cost_m = rate * (f0 * supply_m - rest)
+                    cost_t = rate * (f0 * supply_t + ft * supply_m)
+                    cost_x = rate * (f0 * supply_x + fx * supply_m)
+                    cost_y = rate * f0 * supply_y
+                    if kind != MIDDLE:
+                        cost_t -= planes[p, r, 1] * half_c
+                        cost_x -= planes[p, r, 2]
+                    for i in range(i_first, i_last + 1):
+                        row, column = i - i_ahead, j - j_ahead
+                        level = ahead[row, column, 0]
+                        if level == np.inf:
+                            continue
+                        y_lo = max(whole[0, 2], columns_ahead[row, 0] - next_w)
+                        y_hi = min(whole[1, 2], columns_ahead[row, 1] - next_w)
+                        edge = there[L_C] + i * next_dc
+                        low = (edge - ON_LIMIT - drift - 0.5 * step * (whole[1, 1] + y_hi)) * inverse
+                        high = (edge + next_dc + ON_LIMIT - drift - 0.5 * step * (whole[0, 1] + y_lo)) * inverse
+                        t_lo, t_hi = max(whole[0, 0], low), min(whole[1, 0], high)
+                        if t_lo > t_hi or y_lo > y_hi:
+                            continue
+                        slope_c, slope_w = ahead[row, column, 1], ahead[row, column, 2]
+                        lean = 0.5 * step * slope_c
+                        g0 = cost_m + level + slope_c * (drift - edge - 0.5 * next_dc)
+                        gt, gx, gy = cost_t + slope_c * half_c, cost_x + lean, cost_y + lean + slope_w
+                        value = g0 + gt * (t_lo if gt > 0.0 else t_hi)
+                        value += gx * (whole[0, 1] if gx > 0.0 else whole[1, 1]) + gy * (y_lo if gy > 0.0 else y_hi)
+                        if kind == FORWARD:
+                            bar = min(limit, found[row, column]) - so_far
+                        else:
+                            bar = best
+                        if value < bar:
+                            box[0, 0], box[0, 1], box[0, 2] = t_lo, whole[0, 1], y_lo
+                            box[1, 0], box[1, 1], box[1, 2] = t_hi, whole[1, 1], y_hi
+                            form[0], form[1], form[2], form[3] = g0, gt, gx, gy
+                            for v in range(FORM):
+                                supply[v] = forms[chosen, v]
+                            floor = ahead[row, column, 3]
+                            # Only where the next position is in its cell.
+                            if kind != MIDDLE and edge - low_end(drift, half_c, step, box) > 0.0:
+                                direction[0], direction[1] = edge - ON_LIMIT - drift, -half_c
+                                direction[2] = direction[3] = -0.5 * step
+                                ascend(form, direction, 0.0, np.inf, box)
+                            if kind != MIDDLE and high_end(drift, half_c, step, box) - edge - next_dc > 0.0:
+                                direction[0], direction[1] = drift - edge - next_dc - ON_LIMIT, half_c
+                                direction[2] = direction[3] = 0.5 * step
+                                ascend(form, direction, 0.0, np.inf, box)
+                            if level - 0.5 * (abs(slope_c) * next_dc + abs(slope_w) * next_dw) < floor:
+                                # The cost to go is not below the floor either: any mean of plane and floor will do.
+                                direction[0] = floor - (g0 - cost_m)
+                                direction[1], direction[2], direction[3] = -slope_c * half_c, -lean, -lean - slope_w
+                                ascend(form, direction, 0.0, 1.0, box)
+                            value = sharpen(
+                                form, count, chosen, forms, supply, f0, ft, fx, sigma, motion, cylinder, rate, turn,
+                                box, direction,
+                            )  # fmt: skip
+                            if value < bar:
+                                if kind == FORWARD:
+                                    found[row, column] = max(active[p, r], so_far + value)
+                                else:
+                                    best, lead = value, j - j_first
+            if kind != FORWARD:
+                found[p, r] = best

@@ -1,0 +1,349 @@
+"""Cells of the state space and rigorous lower bounds over them: the certificate's dynamic program.
+
+A `Cells` is a set of boxes in position and velocity at every stage; outside it no motion is of interest. `bound`
+runs backward and finds, for each cell, a plane below the cost to go of every motion through it; `reach` runs
+forward and finds the excess over the bound with which a cell can be reached at all; `refine` keeps the cells
+whose excess is small enough and halves them in both directions. See `docs/certificate.md` for the proofs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from leanboom import bounds, enclosure, kernels, stages
+from leanboom import crane as cranes
+from leanboom.enclosure import Enclosure
+from leanboom.motion import Motion
+from leanboom.stages import Problem
+
+POSITIONS = 128  # cells of the first level between the smallest and the largest extension
+VELOCITY = 0.01  # [m/s], largest height of a cell of the first level
+UNKNOWN = 1e30  # error of a coefficient that cannot be enclosed over a cell
+SHARES = 8  # parts a thread takes of a stage: rows differ in work
+AT_REST = 1e-6  # [m/s], velocity below which a motion ends at rest
+BENT = 0.25  # a plane that loses more than this share of what it rises over its cell is tried again, level
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """The cells of every stage; arrays of a stage cover a window of its lattice."""
+
+    problem: Problem
+    cost: str
+    positions: int  # cells between the ends of a stage's feasible extensions
+    velocities: int  # cells between the limits of the redundant cylinder's velocity
+    lattice: np.ndarray  # (stages + 1, bounds.LATTICE)
+    active: tuple[np.ndarray, ...]  # 0 where a cell is kept, inf where not, (rows, columns) a stage
+    model: tuple[np.ndarray, ...]  # enclosures of the coefficients, (rows, moving, COEFFICIENTS, 4) a stage
+    columns: tuple[np.ndarray, ...]  # admissible velocities of each row [m/s], (rows, 2) a stage and the end
+    fixed: np.ndarray  # pump flow [m^3/s] and pressure [Pa] of prescribed cylinders, (stages + 1, 2)
+    cylinder: np.ndarray  # (moving, kernels.CYLINDER_COLUMNS)
+    setting: np.ndarray  # (kernels.SETTINGS,)
+
+    @property
+    def count(self) -> int:
+        """Number of cells kept."""
+        return sum(int(np.isfinite(a).sum()) for a in self.active)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bounds:
+    """Planes and floors below the cost to go over cells, and what they say of the start."""
+
+    cells: Cells
+    planes: tuple[
+        np.ndarray, ...
+    ]  # level [J], slopes [J/m], [J s/m], floor [J]: (rows, columns, 4) a stage and the end
+    start: np.ndarray  # least cost to go from the start through each cell of stage 0 [J], (rows, columns)
+
+    @property
+    def lower(self) -> float:
+        """Lower bound of the energy of any motion from the start [J]; inf where there is none."""
+        return float(self.start.min())
+
+
+class OutOfTime(Exception):
+    """The time given to a bound is over."""
+
+
+def whole(problem: Problem, cost: str) -> Cells:
+    """The first level: all feasible extensions and all velocities of every stage."""
+    limit = problem.crane.machine.redundant.velocity_limit
+    velocities = 2 * int(np.ceil(limit / VELOCITY))
+    active = tuple(np.zeros((POSITIONS, velocities)) for _ in range(problem.stages))
+    return _cut(problem, cost, POSITIONS, velocities, active, np.zeros((problem.stages, 2), dtype=int))
+
+
+def _cut(problem: Problem, cost: str, positions: int, velocities: int, active, corner: np.ndarray) -> Cells:
+    """Cells of a resolution; `corner` is the first row and column of each stage's window, (stages, 2)."""
+    limit = problem.crane.machine.redundant.velocity_limit
+    n = problem.stages
+    lattice = np.zeros((n + 1, bounds.LATTICE))
+    lattice[:, bounds.L_C] = problem.lower
+    lattice[:, bounds.L_DC] = np.maximum(problem.upper - problem.lower, 1e-9) / positions
+    lattice[:n, bounds.L_W] = -limit
+    lattice[:n, bounds.L_DW] = 2.0 * limit / velocities
+    lattice[:n, bounds.L_I :] = corner
+    cylinder = stages.cylinder_table(problem)
+    setting = stages.setting(problem, cost, (0.0, 0.0, 0.0, 0.0))
+    setting[kernels.EPSILON] = problem.crane.machine.driven_velocity
+    model = enclosures(problem, lattice, [a.shape[0] for a in active])
+    columns = [np.tile([-limit, limit], (a.shape[0], 1)) for a in active]
+    for rows, stage in zip(columns, model, strict=True):
+        bounds.velocity_columns(stage, cylinder, rows)
+    columns.append(np.zeros((positions, 2)))  # the end: at rest
+    flow, pressure, _ = stages.prescribed(problem, cost)
+    fixed = np.stack([flow, pressure], axis=1)
+    return Cells(
+        problem, cost, positions, velocities, lattice, tuple(active), model, tuple(columns), fixed, cylinder, setting
+    )
+
+
+def enclosures(problem: Problem, lattice: np.ndarray, rows: list[int]) -> tuple[np.ndarray, ...]:
+    """Enclosures of all coefficients over the position cells of every stage's window.
+
+    Args:
+        problem: The discretised task.
+        lattice: Where the cells are, (stages + 1, bounds.LATTICE).
+        rows: Number of position cells of each window, (stages,).
+
+    Returns:
+        Per stage an array (rows, moving, kernels.COEFFICIENTS, 4): p0, p1, p2 and error of `enclosure.Enclosure`.
+    """
+    stage = np.repeat(np.arange(len(rows)), rows)
+    row = np.concatenate([np.arange(count) for count in rows]) + lattice[stage, bounds.L_I]
+    half = 0.5 * lattice[stage, bounds.L_DC]
+    middle = lattice[stage, bounds.L_C] + half * (2.0 * row + 1.0)
+    with np.errstate(all="ignore"):  # beside a singular pose bounds may be infinite
+        pose = cranes.pose(problem.crane, problem.plane[stage], enclosure.variable(middle, half))
+        motions = [cranes.move(pose, w, u) for w, u in ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
+    still, forth = motions[:2]
+    cylinders = range(len(problem.crane.machine.cylinders))[problem.moving]
+    out = np.empty((stage.size, len(cylinders), kernels.COEFFICIENTS, 4))
+    with np.errstate(all="ignore"):
+        for m, i in enumerate(cylinders):
+            columns = [still.velocity[i], forth.velocity[i] - still.velocity[i]]
+            for name in ("acceleration", "load"):
+                c0, c1, c2, c3 = (getattr(each, name)[i] for each in motions)
+                columns += [c0, 0.5 * (c1 - c2), 0.5 * (c1 + c2) - c0, c3 - c0]
+            for q, value in enumerate([*columns, pose.coulomb[i]]):
+                model: Enclosure = enclosure.constant(value)
+                for part, name in enumerate(("p0", "p1", "p2", "error")):
+                    out[:, m, q, part] = getattr(model, name)
+    out[..., 3] += enclosure.ROUNDING * np.abs(out[..., :3]).sum(axis=-1)
+    out[~np.isfinite(out).all(axis=-1) | (out[..., 3] > UNKNOWN)] = (0.0, 0.0, 0.0, UNKNOWN)
+    return tuple(np.split(out, np.cumsum(rows)[:-1]))
+
+
+def bound(cells: Cells, start: float | None, check: Callable[[float], None]) -> Bounds:
+    """The backward pass: planes below the cost to go over all cells.
+
+    Args:
+        cells: The cells; motions that leave them are not bounded.
+        start: Start of the redundant cylinder [m], at rest; None: anywhere feasible.
+        check: Called with the share done before every stage; raises to end the pass.
+
+    Returns:
+        The bounds.
+    """
+    n = cells.problem.stages
+    planes: list[np.ndarray] = [np.empty(0)] * n + [np.zeros((cells.positions, 1, 4))]
+    with _Pool(cells) as pool:
+        for k in range(n - 1, -1, -1):
+            check(1.0 - (k + 1) / n)
+            active = cells.active[k]
+            here = np.zeros((*active.shape, 4))
+            middle, level = np.full(active.shape, np.inf), np.full(active.shape, np.inf)
+            pool.run(bounds.MIDDLE, k, 0.0, active, here, planes[k + 1], [middle])
+            here[..., 1] = slopes(middle, 0) / cells.lattice[k, bounds.L_DC]
+            here[..., 2] = slopes(middle, 1) / cells.lattice[k, bounds.L_DW]
+            pool.run(bounds.PLANE, k, 0.0, active, here, planes[k + 1], [level])
+            rise = np.abs(here[..., 1]) * cells.lattice[k, bounds.L_DC]
+            rise += np.abs(here[..., 2]) * cells.lattice[k, bounds.L_DW]
+            with np.errstate(invalid="ignore"):
+                bent = np.isfinite(level) & ~(middle - level <= BENT * rise)
+            if bent.any():
+                flat = np.full(active.shape, np.inf)
+                pool.run(bounds.PLANE, k, 0.0, np.where(bent, 0.0, np.inf), np.zeros_like(here), planes[k + 1], [flat])
+                here[..., 3] = np.where(bent, np.maximum(flat, 0.0), 0.0)
+                better = bent & (flat > level)
+                here[better, 1:3] = 0.0
+                level = np.where(better, flat, level)
+            here[..., 0] = level
+            planes[k] = here
+    return Bounds(cells, tuple(planes), _at_start(cells, planes[0], start))
+
+
+def slopes(values: np.ndarray, axis: int) -> np.ndarray:
+    """Rise of values from cell to cell along an axis, 0 at an extreme.
+
+    Any slope gives a valid plane; these make planes that lie close. Along position, where values bend little and
+    their differences are noisy: van Leer's mean of both sides of smoothed values. Along velocity, across the jumps
+    where a cylinder begins to count as driven: the smaller side.
+
+    Args:
+        values: Least cost to go from the cells' middles [J], inf where there is none, (rows, columns).
+        axis: 0 for position, 1 for velocity.
+
+    Returns:
+        Rise per cell [J], (rows, columns).
+    """
+    f = np.swapaxes(np.where(np.isfinite(values), values, np.nan), 0, axis)
+    if f.shape[0] < 2:
+        return np.zeros_like(values)
+    if axis == 0:
+        mean = 0.25 * f[:-2] + 0.5 * f[1:-1] + 0.25 * f[2:]
+        f = np.concatenate([f[:1], np.where(np.isfinite(mean), mean, f[1:-1]), f[-1:]])
+    step = np.diff(f, axis=0)
+    edge = np.full((1, f.shape[1]), np.nan)
+    left, right = np.concatenate([edge, step]), np.concatenate([step, edge])
+    left, right = np.where(np.isnan(left), right, left), np.where(np.isnan(right), left, right)
+    with np.errstate(all="ignore"):
+        if axis == 0:
+            rise = 2.0 * left * right / (left + right)
+        else:
+            rise = np.where(np.abs(left) < np.abs(right), left, right)
+        rise = np.where(left * right > 0.0, rise, 0.0)
+    return np.swapaxes(rise, 0, axis)
+
+
+def _at_start(cells: Cells, planes: np.ndarray, start: float | None) -> np.ndarray:
+    """Least value over the start states of each cell of stage 0, inf where a cell holds none."""
+    c_lo, dc, w_lo, dw, i, j = cells.lattice[0]
+    off = -(w_lo + (j + np.arange(planes.shape[1]) + 0.5) * dw)  # from the middle to rest
+    middle = c_lo + (i + np.arange(planes.shape[0]) + 0.5) * dc
+    if start is None:
+        low, high = np.full(middle.size, -0.5 * dc), np.full(middle.size, 0.5 * dc)
+        inside = np.ones(middle.size, dtype=bool)
+    else:
+        low = high = start - middle
+        inside = np.abs(low) <= 0.5 * dc + bounds.ON_LIMIT
+    value = planes[..., 0] + planes[..., 2] * off
+    value = value + np.minimum(planes[..., 1] * low[:, None], planes[..., 1] * high[:, None])
+    value = np.maximum(value, np.where(np.isfinite(planes[..., 0]), planes[..., 3], np.inf))
+    return np.where(inside[:, None] & (np.abs(off) <= 0.5 * dw * (1.0 + 1e-9)), value, np.inf)
+
+
+def reach(found: Bounds, limit: float, check: Callable[[float], None]) -> tuple[np.ndarray, ...]:
+    """The forward pass: least excess over the bound with which a motion from the start enters each cell.
+
+    Args:
+        found: The bounds.
+        limit: Energy beyond which motions are of no interest [J].
+        check: As in `bound`.
+
+    Returns:
+        Excess [J], inf where every motion through the cell costs more than `limit`, (rows, columns) a stage.
+    """
+    cells, room = found.cells, limit - found.lower
+    excess = [np.where(found.start <= limit, found.start - found.lower, np.inf)]
+    with _Pool(cells) as pool:
+        for k in range(cells.problem.stages - 1):
+            check((k + 1) / cells.problem.stages)
+            parts = [np.full(cells.active[k + 1].shape, np.inf) for _ in range(pool.workers)]
+            pool.run(bounds.FORWARD, k, room, excess[-1], found.planes[k], found.planes[k + 1], parts)
+            excess.append(np.minimum.reduce(parts))
+    return tuple(excess)
+
+
+def refine(cells: Cells, excess: tuple[np.ndarray, ...]) -> Cells | None:
+    """The cells that can still be entered, halved in both directions; None where there are none."""
+    active, corner = [], np.zeros((cells.problem.stages, 2), dtype=int)
+    for k, reached in enumerate(excess):
+        kept = np.isfinite(reached)
+        rows, columns = np.nonzero(kept.any(axis=1))[0], np.nonzero(kept.any(axis=0))[0]
+        if rows.size == 0:
+            return None
+        kept = kept[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+        corner[k] = 2 * (cells.lattice[k, bounds.L_I :].astype(int) + (rows[0], columns[0]))
+        active.append(np.where(kept.repeat(2, axis=0).repeat(2, axis=1), 0.0, np.inf))
+    return _cut(cells.problem, cells.cost, 2 * cells.positions, 2 * cells.velocities, tuple(active), corner)
+
+
+def memory(cells: Cells, excess: tuple[np.ndarray, ...]) -> float:
+    """Bytes that bounding the refined cells takes."""
+    rows = sum(2 * int(np.isfinite(e).any(axis=1).sum()) for e in excess)
+    size = sum(4 * e.size for e in excess)
+    moving = cells.cylinder.shape[0]
+    return 8.0 * (size * 6 + rows * moving * kernels.COEFFICIENTS * 4 * 2)
+
+
+def value_at(found: Bounds, k: int, position: float, velocity: float) -> float:
+    """Lower bound of the cost to go from a state [J]: the least of the cells it lies in; inf where there is none."""
+    if k == found.cells.problem.stages:
+        return 0.0 if abs(velocity) < AT_REST else np.inf
+    c_lo, dc, w_lo, dw, first_i, first_j = found.cells.lattice[k]
+    planes = found.planes[k]
+    x, y = (position - c_lo) / dc - first_i, (velocity - w_lo) / dw - first_j
+    least = np.inf
+    for i in {int(np.floor(x - 1e-6)), int(np.floor(x + 1e-6))}:
+        for j in {int(np.floor(y - 1e-6)), int(np.floor(y + 1e-6))}:
+            if 0 <= i < planes.shape[0] and 0 <= j < planes.shape[1] and np.isfinite(planes[i, j, 0]):
+                level, slope_c, slope_w, floor = planes[i, j]
+                value = level + slope_c * (x - i - 0.5) * dc + slope_w * (y - j - 0.5) * dw
+                least = min(least, max(value, floor))
+    return least
+
+
+def residuals(found: Bounds, motion: Motion, costs: np.ndarray) -> np.ndarray:
+    """By how much a motion's stages cost more than the bounds allow [J], (stages,): never below 0 if they are valid.
+
+    Stage cost plus bound at the next state less bound at this one; inf from where the motion leaves the cells.
+
+    Args:
+        found: The bounds.
+        motion: A motion on the problem's stages that keeps every limit.
+        costs: Its stages' energies [J], (stages,).
+    """
+    n = costs.size
+    value = [value_at(found, k, motion.position[k], motion.velocity[k]) for k in range(n + 1)]
+    with np.errstate(invalid="ignore"):
+        rest = costs + np.array(value[1:]) - np.array(value[:-1])
+    return np.where(np.isfinite(rest), rest, np.inf)
+
+
+def prepare() -> None:
+    """Load the compiled kernels, compiling them on the very first run, by bounding a stage of one cell."""
+    model, one = np.zeros((1, 1, kernels.COEFFICIENTS, 4)), np.zeros((1, 1))
+    columns, lattice = np.zeros((1, 2)), np.ones(bounds.LATTICE)
+    cylinder, setting = np.ones((1, kernels.CYLINDER_COLUMNS)), np.ones(kernels.SETTINGS)
+    bounds.velocity_columns(model, cylinder, columns)
+    bounds.cells(
+        bounds.PLANE, 0, 1, model, lattice, lattice, columns, columns, np.zeros(2), cylinder, setting, 0.0, one,
+        np.zeros((1, 1, 4)), np.zeros((1, 1, 4)), one,
+    )  # fmt: skip
+
+
+class _Pool:
+    """Threads that share the rows of a stage among them."""
+
+    def __init__(self, cells: Cells) -> None:
+        self.cells, self.workers = cells, stages.threads()
+
+    def __enter__(self) -> _Pool:
+        self.pool = ThreadPoolExecutor(self.workers)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.pool.shutdown()
+
+    def run(self, kind: int, k: int, limit: float, active, planes, ahead, found: list[np.ndarray]) -> None:
+        """One pass over stage k; forward passes write into one array a thread, others into one for all."""
+        cells = self.cells
+        parts = len(found) if kind == bounds.FORWARD else min(SHARES * self.workers, active.shape[0])
+        work = np.cumsum(np.isfinite(active).sum(axis=1))
+        edges = [0, *(int(np.searchsorted(work, work[-1] * q / parts)) for q in range(1, parts)), active.shape[0]]
+        jobs = [
+            self.pool.submit(
+                bounds.cells, kind, first, last, cells.model[k], cells.lattice[k], cells.lattice[k + 1],
+                cells.columns[k], cells.columns[k + 1], cells.fixed[k], cells.cylinder, cells.setting, limit, active,
+                planes, ahead, found[part % len(found)],
+            )
+            for part, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True))
+        ]  # fmt: skip
+        for job in jobs:
+            job.result()

@@ -1,0 +1,107 @@
+"""The best known motion of a discretised problem: what a certificate compares its bound with.
+
+The energy of a motion in the discretised problem is the sum over the stages of step x power at the stage's start, as
+the dynamic program adds it up. The planner's motion is the best by the judge, who integrates every 2 ms; tubes around
+it, as the planner's own, look for a better sum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leanboom import crane as cranes
+from leanboom import dp, hydraulics, motion, stages
+from leanboom.judge import PATH_TOLERANCE, TOLERANCE
+from leanboom.motion import Motion
+from leanboom.shaft import shaft_of
+from leanboom.stages import Problem
+
+TUBE = (41, 33)  # nodes of a tube
+WIDTH, SPREAD = 0.03, 0.06  # half widths of the first tube: share of the stroke range, of the velocity limit
+LEVELS, REPEATS = 8, 3  # tubes are halved, and repeated while they gain
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """A motion in the discretised problem."""
+
+    motion: Motion
+    costs: np.ndarray  # energy of every stage [J], (stages,)
+    keeps_limits: bool  # at every stage, within the judge's tolerances
+
+    @property
+    def energy(self) -> float:
+        """Sum of the stages' energies [J]."""
+        return float(self.costs.sum())
+
+
+def on_stages(problem: Problem, seed: Motion) -> Motion:
+    """A motion on a problem's stages: itself, or one with its velocities there, ending at rest."""
+    if seed.acceleration.size == problem.stages:
+        return seed
+    _, velocity, _ = seed.at(problem.time)
+    velocity = velocity.copy()
+    velocity[-1] = 0.0
+    return motion.from_velocities(problem.step, float(seed.position[0]), velocity, seed.method, seed.cost)
+
+
+def measure(problem: Problem, candidate: Motion, pump: str) -> Measured:
+    """Energy of a motion on a problem's stages, and whether it keeps their limits.
+
+    Args:
+        problem: The discretised task.
+        candidate: A motion on its stages.
+        pump: "ls" or "cp".
+    """
+    crane, machine = problem.crane, problem.crane.machine
+    pose = cranes.pose(crane, problem.plane[:-1], candidate.position[:-1])
+    moving = cranes.move(pose, candidate.velocity[:-1], candidate.acceleration)
+    force = cranes.forces(pose, moving)
+    flow, pressure, _ = stages.prescribed(problem, pump)
+    flow, pressure = flow[:-1], pressure[:-1]
+    used = max(np.max(problem.lower - candidate.position), np.max(candidate.position - problem.upper)) / PATH_TOLERANCE
+    used = max(used, abs(candidate.velocity[-1]) / PATH_TOLERANCE)
+    for i in range(len(machine.cylinders))[problem.moving]:
+        d, cylinder, v = crane.drives[i], machine.cylinders[i], moving.velocity[i]
+        flow = flow + hydraulics.cylinder_flow(v, d.area_out, d.area_in)
+        pressure = np.maximum(
+            pressure,
+            hydraulics.counted_pressure(
+                v, force[i], machine.driven_velocity, d.gain_out, d.back_out, d.gain_in, d.back_in
+            ),
+        )
+        used = max(used, np.max(np.abs(v)) / cylinder.velocity_limit / TOLERANCE)
+        used = max(used, np.max(np.abs(moving.acceleration[i])) / cylinder.acceleration_limit / TOLERANCE)
+    supply = pressure + machine.pump.ls_margin if pump == "ls" else machine.pump.constant_pressure
+    return Measured(candidate, problem.step * hydraulics.pump_power(supply, flow, *shaft_of(machine.pump)), used <= 1.0)
+
+
+def improve(problem: Problem, seed: Measured, pump: str, free: bool) -> Measured:
+    """Look for a motion of less energy in ever narrower tubes around a motion.
+
+    Args:
+        problem: The discretised task.
+        seed: The motion to begin with.
+        pump: "ls" or "cp".
+        free: Whether the start may move.
+
+    Returns:
+        The best motion found that keeps the limits; the seed where there is none.
+    """
+    low, high = stages.stroke_range(problem.task)
+    limit = problem.crane.machine.redundant.velocity_limit
+    best = seed
+    for level in range(LEVELS):
+        for _ in range(REPEATS):
+            share = 0.5**level
+            at = best.motion
+            width, spread = share * WIDTH * (high - low), share * SPREAD * 2.0 * limit
+            policy = dp.solve(problem, stages.tube_grid(problem, at.position, at.velocity, width, spread, *TUBE), pump)
+            start = dp.best_start(policy) if free else float(at.position[0])
+            found = measure(problem, dp.rollout(policy, start), pump)
+            if not found.keeps_limits or (best.keeps_limits and found.energy >= best.energy):
+                break
+            best = found
+    return best

@@ -1,0 +1,97 @@
+"""Plain twins of the certificate: energies of whole motions and of single cells by trying everything.
+
+Written from the crane's formulas, not from the kernels: a cell's least cost to go is looked for on a fine set of
+states and accelerations, the least energy of a task on a fine set of velocities at every stage.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from leanboom import cells, hydraulics, incumbent, motion, stages
+from leanboom import crane as cranes
+from leanboom.stages import Problem
+
+
+def rates(problem: Problem, pump: str, k, c, w, u) -> tuple[np.ndarray, np.ndarray]:
+    """Energy of stages k from states and controls [J], and the largest use of a limit of velocity or acceleration."""
+    crane, machine = problem.crane, problem.crane.machine
+    k, c, w, u = np.broadcast_arrays(k, c, w, u)
+    pose = cranes.pose(crane, problem.plane[k], c)
+    moving = cranes.move(pose, w, u)
+    force = cranes.forces(pose, moving)
+    flow, pressure, _ = stages.prescribed(problem, pump)
+    flow, pressure, used = flow[k], pressure[k], np.zeros(c.shape)
+    for i in range(len(machine.cylinders))[problem.moving]:
+        d, v, cylinder = crane.drives[i], moving.velocity[i], machine.cylinders[i]
+        flow = flow + hydraulics.cylinder_flow(v, d.area_out, d.area_in)
+        line = (machine.driven_velocity, d.gain_out, d.back_out, d.gain_in, d.back_in)
+        pressure = np.maximum(pressure, hydraulics.counted_pressure(v, force[i], *line))
+        used = np.maximum(used, np.abs(v) / cylinder.velocity_limit)
+        used = np.maximum(used, np.abs(moving.acceleration[i]) / cylinder.acceleration_limit)
+    supply = pressure + machine.pump.ls_margin if pump == "ls" else machine.pump.constant_pressure
+    return problem.step * supply * flow / machine.pump.efficiency, used
+
+
+def least_energy(problem: Problem, pump: str, start: float, count: int) -> tuple[float, motion.Motion | None]:
+    """The least energy over all motions whose velocities are on a grid of `count` values, and such a motion."""
+    limit = problem.crane.machine.redundant.velocity_limit
+    span, centre = limit, np.zeros(problem.stages - 1)
+    best, chosen = np.inf, None
+    for _ in range(4):  # look again around the best
+        axes = [np.unique(np.clip(middle + np.linspace(-span, span, count), -limit, limit)) for middle in centre]
+        inner = np.array(list(itertools.product(*axes)))
+        w = np.concatenate([np.zeros((len(inner), 1)), inner, np.zeros((len(inner), 1))], axis=1)
+        u = np.diff(w, axis=1) / problem.step
+        c = start + np.concatenate(
+            [np.zeros((len(w), 1)), np.cumsum(0.5 * problem.step * (w[:, 1:] + w[:, :-1]), axis=1)], axis=1
+        )
+        keeps = np.all((c >= problem.lower - 1e-9) & (c <= problem.upper + 1e-9), axis=1)
+        c, w, u = c[keeps], w[keeps], u[keeps]
+        if len(c):
+            cost, used = rates(problem, pump, np.arange(problem.stages), c[:, :-1], w[:, :-1], u)
+            total = np.where(np.all(used <= 1.0, axis=1), cost.sum(axis=1), np.inf)
+            least = int(total.argmin())
+            if total[least] < best:
+                best, centre = float(total[least]), w[least, 1:-1]
+                chosen = motion.from_velocities(problem.step, start, w[least], "brute force", pump)
+        span *= 3.0 / count
+    return best, chosen
+
+
+def least_in_cell(found: cells.Bounds, pump: str, k: int, p: int, r: int, count: int) -> float:
+    """Least of stage cost plus bound at the next state less rise of the cell's plane [J], over sampled motions."""
+    held, problem = found.cells, found.cells.problem
+    c_lo, dc, w_lo, dw, i, j = held.lattice[k]
+    share = np.linspace(-0.5, 0.5, count)
+    limit = problem.crane.machine.redundant.acceleration_limit
+    dx, dy, u = np.meshgrid(dc * share, dw * share, np.linspace(-limit, limit, 8 * count), indexing="ij")
+    c, w = c_lo + (i + p + 0.5) * dc + dx, w_lo + (j + r + 0.5) * dw + dy
+    cost, used = rates(problem, pump, k, c, w, u)
+    next_c, next_w = c + problem.step * (w + 0.5 * problem.step * u), w + problem.step * u
+    inside = (used <= 1.0) & (next_c >= problem.lower[k + 1]) & (next_c <= problem.upper[k + 1])
+    plane = found.planes[k][p, r]
+    least = np.inf
+    for x, y, here, rise in zip(
+        next_c[inside], next_w[inside], cost[inside], (plane[1] * dx + plane[2] * dy)[inside], strict=True
+    ):
+        least = min(least, here + cells.value_at(found, k + 1, x, y) - rise)
+    return least
+
+
+def random_motion(problem: Problem, start: float, rng: np.random.Generator, tries: int = 2000) -> motion.Motion | None:
+    """A random motion that keeps every limit; None where none was found."""
+    limit = problem.crane.machine.redundant.velocity_limit
+    for _ in range(tries):
+        knots = rng.uniform(-limit, limit, 5) * rng.uniform(0.0, 1.0)
+        w = np.interp(np.arange(problem.stages + 1), np.linspace(0, problem.stages, 7), [0.0, *knots, 0.0])
+        found = incumbent.measure(problem, motion.from_velocities(problem.step, start, w, "random", "ls"), "ls")
+        strict = np.all(found.motion.position <= problem.upper) and np.all(found.motion.position >= problem.lower)
+        _, used = rates(
+            problem, "ls", np.arange(problem.stages), found.motion.position[:-1], w[:-1], found.motion.acceleration
+        )
+        if strict and used.max() <= 1.0:
+            return found.motion
+    return None

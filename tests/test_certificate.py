@@ -1,0 +1,198 @@
+"""The certificate: bounds never exceed what any motion takes, rise with refinement, and wrong ones are caught."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import slow_bounds
+from leanboom import InputError, LeanboomError, cells, certify, incumbent, load_task, motion, stages
+from leanboom.cli import app
+from leanboom.machine import Pump
+from leanboom.task import Lines, Task
+
+
+def quiet(share: float) -> None:
+    """No clock."""
+
+
+def small_task(seed: int) -> Task:
+    """A random path of half a second to a second and a half that few stages cut."""
+    rng = np.random.default_rng(seed)
+    task = load_task("forwarder-vertical" if seed % 2 else "loader-triangle-small")
+    first = np.array([5.0, 0.0, 2.5]) if seed % 2 else np.array([2.2, 0.0, 1.2])
+    second = first + np.array([rng.uniform(-0.15, 0.15), 0.0, rng.uniform(-0.15, 0.15)])
+    path = Lines((tuple(first), tuple(second)), (float(rng.uniform(0.8, 1.5)),))
+    return replace(task, path=path, start="middle")
+
+
+@pytest.fixture(scope="module")
+def solved():
+    """The bounds of a coarse vertical path, LS, and a motion to hold against them."""
+    task = replace(load_task("forwarder-vertical"), start="middle")
+    problem = stages.discretise(task, 0.25)
+    found = cells.bound(cells.whole(problem, "ls"), None, quiet)
+    return problem, found
+
+
+@pytest.mark.parametrize("pump", ["cp", "ls"])
+@pytest.mark.parametrize("seed", range(6))
+def test_bound_never_exceeds_the_brute_force_optimum(seed, pump):
+    task = small_task(seed)
+    problem = stages.discretise(task, task.duration / 4.0)
+    start = 0.5 * (problem.lower[0] + problem.upper[0])
+    least, best = slow_bounds.least_energy(problem, pump, start, 25)
+    assert best is not None
+    kept, bound = cells.whole(problem, pump), 0.0
+    for _ in range(4):
+        found = cells.bound(kept, start, quiet)
+        assert found.lower <= least * (1.0 + 1e-9)
+        costs = incumbent.measure(problem, best, pump).costs
+        assert cells.residuals(found, best, costs).min() >= -1e-9 * least
+        bound = max(bound, found.lower)
+        refined = cells.refine(kept, cells.reach(found, least, quiet))
+        if refined is None:
+            break
+        kept = refined
+    assert bound >= 0.9 * least  # close enough to mean something
+
+
+@pytest.mark.parametrize("pump", ["cp", "ls"])
+def test_planes_stay_below_all_sampled_motions_of_their_cell(pump, rng):
+    task = small_task(1)
+    problem = stages.discretise(task, task.duration / 4.0)
+    found = cells.bound(cells.whole(problem, pump), None, quiet)
+    compared = 0
+    for k in (2, 1, 0):
+        planes = found.planes[k]
+        for p, r in zip(rng.integers(0, planes.shape[0], 12), rng.integers(0, planes.shape[1], 12), strict=True):
+            least = slow_bounds.least_in_cell(found, pump, k, p, r, 3)
+            if np.isfinite(least):
+                compared += 1
+                assert planes[p, r, 0] <= least + 1e-9 * abs(least)
+    assert compared > 5
+
+
+def test_every_random_motion_costs_more_than_the_bound_step_by_step(solved, rng):
+    problem, found = solved
+    start = 0.5 * (problem.lower[0] + problem.upper[0])
+    seen = 0
+    for _ in range(20):
+        moving = slow_bounds.random_motion(problem, start, rng)
+        if moving is None:
+            continue
+        seen += 1
+        measured = incumbent.measure(problem, moving, "ls")
+        assert measured.energy >= found.lower
+        assert cells.residuals(found, moving, measured.costs).min() >= -1e-9 * measured.energy
+    assert seen >= 5
+
+
+def test_a_broken_cell_bound_is_caught(solved, rng):
+    problem, found = solved
+    start = 0.5 * (problem.lower[0] + problem.upper[0])
+    moving = next(m for m in (slow_bounds.random_motion(problem, start, rng) for _ in range(20)) if m is not None)
+    costs = incumbent.measure(problem, moving, "ls").costs
+    k = problem.stages // 2
+    broken = [planes.copy() for planes in found.planes]
+    broken[k][..., 0] += 2.0 * costs.sum()
+    flagged = cells.residuals(replace(found, planes=tuple(broken)), moving, costs)
+    assert flagged[k] < 0.0
+
+
+def test_a_bound_that_contradicts_the_motion_is_not_certified(monkeypatch):
+    honest = cells.bound
+
+    def broken(*arguments):
+        found = honest(*arguments)
+        planes = [planes.copy() for planes in found.planes]
+        planes[2][..., 0] += 1e5
+        return replace(found, planes=tuple(planes))
+
+    monkeypatch.setattr(cells, "bound", broken)
+    task = replace(load_task("forwarder-vertical"), start="middle")
+    with pytest.raises(LeanboomError, match="contradicts the motion"):
+        certify(task, "cp", step=0.5, gap=1.0)
+
+
+def test_bound_rises_with_refinement():
+    task = replace(load_task("forwarder-vertical"), start="middle")
+    proof = certify(task, "cp", step=0.25, seconds=20.0, gap=0.3)
+    lower = [level.lower_bound_j for level in proof.levels]
+    assert len(lower) > 1
+    assert lower == sorted(lower)
+    assert proof.lower_bound_j == lower[-1] <= proof.energy_j
+    assert proof.gap_percent == pytest.approx(100.0 * (1.0 - lower[-1] / proof.energy_j))
+    assert "gap" in repr(proof)
+
+
+def test_no_time_leaves_the_trivial_bound():
+    task = replace(load_task("forwarder-vertical"), start="middle")
+    proof = certify(task, "cp", step=0.5, seconds=1e-6)
+    assert (proof.lower_bound_j, proof.gap_percent, proof.reason) == (0.0, 100.0, "time is over")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"pump": "lp"}, "pump = lp; must be one of ls, cp"),
+        ({"seconds": 0.0}, "seconds = 0 s; must be above 0"),
+        ({"gap": -1.0}, "gap = -1 %; must be from 0"),
+        ({"step": 2.0}, "step = 2 s; must be from 0.001 s to 1 s"),
+    ],
+)
+def test_arguments_out_of_range_are_refused(arguments, message):
+    with pytest.raises(InputError, match=message):
+        certify(load_task("forwarder-vertical"), **arguments)
+
+
+def test_a_motion_of_another_start_or_duration_is_refused():
+    task = replace(load_task("forwarder-vertical"), start="middle")
+    start = 0.5 * sum(stages.discretise(task, 0.5).intervals[0][0])
+    elsewhere = motion.from_velocities(0.5, start + 0.01, np.zeros(13), "test", "cp")
+    with pytest.raises(InputError, match="motion starts at"):
+        certify(task, "cp", motion=elsewhere)
+    short = motion.from_velocities(0.5, start, np.zeros(9), "test", "cp")
+    with pytest.raises(InputError, match="motion takes 4 s; the task takes 6 s"):
+        certify(task, "cp", motion=short)
+
+
+def test_an_efficiency_map_is_refused():
+    task = load_task("forwarder-vertical")
+    pump: Pump = replace(task.machine.pump, efficiency=object())
+    task = replace(task, machine=replace(task.machine, pump=pump))
+    with pytest.raises(InputError, match="constant efficiency"):
+        certify(task, "cp")
+
+
+def test_command_prints_the_plan_and_the_bound():
+    command = ["certify", "forwarder-vertical", "--start", "middle", "--pump", "cp", "--step", "0.25", "--gap", "2"]
+    done = CliRunner().invoke(app, [*command, "--json"])
+    assert done.exit_code == 0, done.output
+    printed = json.loads(done.stdout)
+    assert printed["lower_bound_j"] <= printed["discretised_energy_j"]
+    assert printed["gap_percent"] <= 2.0
+    assert printed["certify_s"] > 0.0
+    assert {"task", "energy_j", "status"} <= printed.keys()
+    told = CliRunner().invoke(app, command)
+    assert "No motion below" in told.stdout
+
+
+def test_plan_certifies_when_asked():
+    done = CliRunner().invoke(
+        app, ["plan", "forwarder-vertical", "--start", "middle", "--pump", "cp", "--step", "0.5", "--certify", "--json"]
+    )
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["lower_bound_j"] > 0.0
+
+
+def test_slopes_are_exact_for_a_plane_and_level_at_an_extreme():
+    i, j = np.meshgrid(np.arange(6.0), np.arange(5.0), indexing="ij")
+    values = 3.0 * i - 2.0 * j
+    assert np.allclose(cells.slopes(values, 0), 3.0)
+    assert np.allclose(cells.slopes(values, 1), -2.0)
+    values[2, 3] = np.inf
+    assert np.allclose(cells.slopes(values, 1)[2, :3], -2.0)
+    assert cells.slopes(np.abs(np.arange(5.0) - 2.0)[None, :], 1)[0, 2] == 0.0
