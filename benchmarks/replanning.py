@@ -109,8 +109,8 @@ def horizons() -> None:
         + "".join(f"{f'{h:g} s':>9}" for h in HORIZONS)
         + "  pinv"
     )
-    for name in lb.bundled_tasks():
-        for start in ("smallest", "middle"):
+    for start in ("smallest", "middle"):
+        for name in lb.bundled_tasks():
             task = replace(lb.load_task(name), start=start)
             for pump in PUMPS:
                 plan = planner.run(task, pump=pump)
