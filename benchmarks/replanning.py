@@ -23,10 +23,10 @@ PUMPS = ("ls", "cp")
 SEED = 20170506
 
 
-def measured(work: Callable[[], object]) -> tuple[float, float]:
+def measured(work: Callable[..., object], *arguments: object, **named: object) -> tuple[float, float]:
     """Wall and processor time of a piece of work [s]."""
     wall, own = time.perf_counter(), time.process_time()
-    work()
+    work(*arguments, **named)
     return time.perf_counter() - wall, time.process_time() - own
 
 
@@ -53,7 +53,7 @@ def queries(problem: stages.Problem) -> None:
         motion = dp.rollout(policy, float(problem.lower[0]))
         asked = states(motion, 4000, problem.time[-1] - 0.1)
         policy.control(*asked[0])
-        wall, own = zip(*(measured(lambda state=state: policy.control(*state)) for state in asked), strict=True)
+        wall, own = zip(*(measured(policy.control, *state) for state in asked), strict=True)
         print(f"{cost}: wall {spread(wall, 1e6, 'us')}, processor {spread(own, 1e6, 'us')}")
 
 
@@ -88,14 +88,17 @@ def parts(task: lb.Task, plans: dict[str, lb.Motion]) -> None:
         widths = replanning.WIDTH * (high - low), replanning.SPREAD * limit
         grid = stages.tube_grid(problem, seed.position, seed.velocity, *widths, *replanning.TUBE)
         policy = dp.solve(problem, grid, cost)
-        work: dict[str, Callable[[], object]] = {
-            "feasible extensions": lambda: stages.discretise(problem.task, replanning.STEP),
-            "tables": lambda grid=grid, cost=cost: stages.tables(problem, grid, cost),
-            "tables and sweep": lambda grid=grid, cost=cost: dp.solve(problem, grid, cost),
-            "rollout": lambda policy=policy, seed=seed: dp.rollout(policy, float(seed.position[0])),
-            "judge, called twice": lambda seed=seed: lb.evaluate(problem.task, seed),
+        work: dict[str, tuple[Callable[..., object], tuple]] = {
+            "feasible extensions": (stages.discretise, (problem.task, replanning.STEP)),
+            "tables": (stages.tables, (problem, grid, cost)),
+            "tables and sweep": (dp.solve, (problem, grid, cost)),
+            "rollout": (dp.rollout, (policy, float(seed.position[0]))),
+            "judge, called twice": (lb.evaluate, (problem.task, seed)),
         }
-        values = {name: np.median([measured(part)[1] for _ in range(30)]) for name, part in work.items()}
+        values = {
+            name: np.median([measured(part, *arguments)[1] for _ in range(30)])
+            for name, (part, arguments) in work.items()
+        }
         print(f"{cost}: " + ", ".join(f"{name} {1e3 * value:.1f}" for name, value in values.items()))
 
 
@@ -106,8 +109,8 @@ def horizons() -> None:
         + "".join(f"{f'{h:g} s':>9}" for h in HORIZONS)
         + "  pinv"
     )
-    for name in lb.bundled_tasks():
-        for start in ("smallest", "middle"):
+    for start in ("smallest", "middle"):
+        for name in lb.bundled_tasks():
             task = replace(lb.load_task(name), start=start)
             for pump in PUMPS:
                 plan = planner.run(task, pump=pump)

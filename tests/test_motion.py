@@ -84,3 +84,12 @@ def test_motions_are_read_only_and_describe_themselves():
     assert all(not array.flags.writeable for array in (motion.position, motion.velocity, motion.acceleration))
     assert repr(motion) == "Motion(dp minimising cp: 2 stages of 0.05 s, 0.2500 m -> 0.2550 m, solved)"
     assert (motion.solve_s, motion.log, motion.status) == (1.5, ("swept",), "solved")
+
+
+def test_a_motion_taken_up_between_stages_has_a_shorter_first_interval():
+    motion = make(0.1, [0.0, 0.03, 0.1303], [1.0, 1.006, 1.0], [0.2, -0.06], "test", "ls", lead=0.03)
+    assert motion.duration == pytest.approx(0.13)
+    position, velocity, acceleration = motion.at(np.array([0.0, 0.02, 0.03, 0.08, 0.13]))
+    assert position == pytest.approx([0.0, 0.02004, 0.03, 0.03 + 0.0503 - 0.5 * 0.06 * 0.0025, 0.1303], abs=1e-12)
+    assert velocity == pytest.approx([1.0, 1.004, 1.006, 1.003, 1.0])
+    assert acceleration == pytest.approx([0.2, 0.2, -0.06, -0.06, -0.06])

@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
+from leanboom.errors import InputError
 from leanboom.files import bundled_tasks, load_task
-from leanboom.task import Lines, Spline, Task, sample
+from leanboom.task import Braking, Lines, Moved, Part, Spline, Task, sample, written
 
 TASKS = {name: load_task(name) for name in bundled_tasks()}
 SHARE = st.floats(0.0, 1.0)
@@ -134,3 +135,51 @@ def test_references_are_read_only():
         array = getattr(reference, name)
         assert not array.flags.writeable
         assert array.dtype == np.float64
+
+
+# Paths made of others
+
+HALF = TASKS["forwarder-half-cycle"].path
+MADE = {
+    "part": Part(HALF, 2.0, 9.5),
+    "moved": Moved(HALF, (0.3, -0.2, 0.1), 4.0, 3.0),
+    "braking": Braking(HALF, 5.0, 1.5),
+    "braking of a moved part": Braking(Part(Moved(HALF, (0.3, -0.2, 0.1), 4.0, 3.0), 3.0, 12.0), 2.0, 1.5),
+}
+
+
+@pytest.mark.parametrize("path", MADE.values(), ids=MADE)
+def test_made_paths_are_smooth(path):
+    """Velocity and acceleration are derivatives everywhere, also where the path begins to change."""
+    h, time = 1e-4, np.linspace(2e-4, path.duration - 2e-4, 301)
+    (before, v0, _), (_, velocity, acceleration), (after, v1, _) = (path.values(time + d) for d in (-h, 0.0, h))
+    np.testing.assert_allclose(velocity, (after - before) / (2.0 * h), atol=2e-7)
+    np.testing.assert_allclose(acceleration, (v1 - v0) / (2.0 * h), atol=2e-3)  # the spline's third derivative jumps
+
+
+def test_made_paths_agree_with_the_paths_they_are_made_of():
+    time = np.linspace(0.0, 15.0, 61)
+    point, velocity, _ = HALF.values(time)
+    moved = MADE["moved"].values(time)
+    np.testing.assert_array_equal(moved[0][time <= 4.0], point[time <= 4.0])
+    np.testing.assert_allclose(moved[0][time >= 7.0], point[time >= 7.0] + [0.3, -0.2, 0.1], atol=1e-12)
+    part = Part(HALF, 2.0, 9.5)
+    assert part.duration == 7.5
+    np.testing.assert_array_equal(part.values(time[:31])[0], HALF.values(time[:31] + 2.0)[0])
+    begins, stands = Braking(HALF, 5.0, 1.5).values(np.array([0.0, 1.5]))[:2]
+    np.testing.assert_allclose(begins, HALF.values(np.array([5.0, 5.75]))[0], atol=1e-12)
+    np.testing.assert_allclose(stands, [HALF.values(np.array([5.0]))[1][0], np.zeros(3)], atol=1e-12)
+
+
+@pytest.mark.parametrize("path", [HALF, TASKS["loader-triangle-large"].path, *MADE.values()])
+def test_slower_paths_pass_the_same_points(path):
+    slow, time = path.slower(2.0), np.linspace(0.0, path.duration, 41)
+    assert slow.duration == pytest.approx(2.0 * path.duration)
+    for power, (ours, theirs) in enumerate(zip(slow.values(2.0 * time), path.values(time), strict=True)):
+        np.testing.assert_allclose(ours, theirs / 2.0**power, atol=1e-9)
+
+
+def test_made_paths_are_no_files():
+    task = Task("made", TASKS["forwarder-half-cycle"].machine, MADE["moved"])
+    with pytest.raises(InputError, match="the path of task made is a moved path; files and tables hold lines and"):
+        written(task)

@@ -21,13 +21,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import dp, motion, shaft, stages
+from leanboom import dp, motion, stages
 from leanboom.continuation import Continuation
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.judge import Evaluation, evaluate
 from leanboom.motion import Motion
 from leanboom.objective import COSTS
 from leanboom.replanning import Search, track
+from leanboom.shaft import shaft_of
 from leanboom.stages import Problem
 from leanboom.task import Part, Task
 
@@ -85,7 +86,7 @@ def price(problem: Problem, cost: str) -> Price:
         low,
         high,
         ROOM * (longest - shortest),
-        WORTH * supply * flow / shaft.shaft_of(machine.pump).efficiency,
+        WORTH * supply * flow / shaft_of(machine.pump).efficiency,
         BRAKE * machine.redundant.acceleration_limit,
         dp.slopes(problem, cost)[0],
     )

@@ -23,7 +23,7 @@ def between(table, k, x, share):
     """
     out = np.zeros(table.shape[2])
     for ahead in range(2 if share > 0.0 else 1):
-        inside = min(max(x[ahead], 0.0), table.shape[1] - 1.0)
+        inside = kernels.within(x[ahead], table.shape[1] - 1.0)
         i = min(int(inside), table.shape[1] - 2)
         far = inside - i
         weight = 1.0 if share == 0.0 else (share if ahead else 1.0 - share)
