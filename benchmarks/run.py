@@ -3,8 +3,8 @@
 Sections: machine, start-up, speed of the sweep against Algorithm 1, planning time and memory, energies of every
 method on every bundled task, start and pump, speed of the closed-loop simulation, order of convergence, independence
 of the number of threads.
-`--quick` leaves out the energy matrix; `--algorithm-1` adds whole runs of dp-paper (minutes), `--certificate` the gaps of
-the certificate (an hour; `python -m benchmarks.certificate` has a choice of tasks).
+`--quick` leaves out the energy matrix; `--algorithm-1` adds whole runs of dp-paper (minutes), `--certificate` the gaps
+of the certificate (an hour; `python -m benchmarks.certificate` has a choice of tasks).
 """
 
 from __future__ import annotations
