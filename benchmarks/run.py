@@ -58,7 +58,7 @@ def timed(command: list[str], environment: dict | None = None) -> tuple[float, s
 
 def start_up() -> None:
     title("Start-up")
-    tool = [sys.executable, "-m", "leanboom.cli"]
+    tool = [os.path.join(os.path.dirname(sys.executable), "leanboom")]
     seconds = sorted(timed([*tool, "--help"])[0] for _ in range(5))
     print(f"leanboom --help: {seconds[2]:.2f} s (median of 5, {seconds[0]:.2f} to {seconds[-1]:.2f})")
     code = "import time; t = time.perf_counter(); from leanboom import dp; dp.prepare(); print(time.perf_counter() - t)"
