@@ -35,7 +35,8 @@ from leanboom.task import Part, Task
 # See `Price`. Tuned on the loader's bundled tasks; a third or three times `WORTH` loses up to 8 % there, at 3 s.
 ROOM, WORTH = 0.8, 0.15
 BRAKE = 0.5  # share of the acceleration limit that stopping before an end may take
-LEVELS = tuple(0.5**level for level in range(5))  # tubes around the coarse motion
+LEVELS = tuple(0.5**level for level in range(6))  # tubes around the coarse motion
+TUBE = (31, 25)  # their nodes
 NEAR = LEVELS[2:]  # tubes around the rest of the previous plan
 
 
@@ -168,7 +169,8 @@ def _plan(
     until = task.duration if last == count else last * step
     known = replace(task, path=Part(task.path, first * step, until), start="middle", smooth=None)
     problem = stages.discretise(known, step)
-    search = Search(problem, cost, position, velocity, None if last == count else price(problem, cost))
+    end = None if last == count else price(problem, cost)
+    search = Search(problem, cost, position, velocity, end, TUBE)
     best = search.refine(search.solve(stages.full_grid(problem, *grid)), LEVELS)
     if previous is None:
         return best

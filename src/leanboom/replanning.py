@@ -38,6 +38,7 @@ class Search:
     position: float  # [m]
     velocity: float  # [m/s]
     terminal: dp.Terminal | None = None  # what the end costs; None: the path ends at rest
+    nodes: tuple[int, int] = TUBE  # positions and velocities of a tube
 
     def score(self, judged: Evaluation) -> tuple[float, float]:
         """What makes one motion better than another, smaller first: use of limits beyond 1, then cost."""
@@ -58,7 +59,7 @@ class Search:
         low, high = stages.stroke_range(self.problem.task)
         limit = self.problem.crane.machine.redundant.velocity_limit
         widths = half * WIDTH * (high - low), half * SPREAD * limit
-        return self.solve(stages.tube_grid(self.problem, around.position, around.velocity, *widths, *TUBE))
+        return self.solve(stages.tube_grid(self.problem, around.position, around.velocity, *widths, *self.nodes))
 
     def refine(self, chain: Evaluation, halves: Iterable[float]) -> Evaluation:
         """The best motion of narrower and narrower tubes around a chain of better and better ones."""
