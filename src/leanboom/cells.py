@@ -20,7 +20,7 @@ from leanboom.enclosure import Enclosure
 from leanboom.motion import Motion
 from leanboom.stages import Problem
 
-POSITIONS = 128  # cells of the first level between the smallest and the largest extension
+POSITION = 0.006  # [m], largest width of a cell of the first level
 VELOCITY = 0.01  # [m/s], largest height of a cell of the first level
 UNKNOWN = 1e30  # error of a coefficient that cannot be enclosed over a cell
 SHARES = 8  # parts a thread takes of a stage: rows differ in work
@@ -73,9 +73,10 @@ class OutOfTime(Exception):
 def whole(problem: Problem, cost: str) -> Cells:
     """The first level: all feasible extensions and all velocities of every stage."""
     limit = problem.crane.machine.redundant.velocity_limit
+    positions = max(2, int(np.ceil(np.max(problem.upper - problem.lower) / POSITION)))
     velocities = 2 * int(np.ceil(limit / VELOCITY))
-    active = tuple(np.zeros((POSITIONS, velocities)) for _ in range(problem.stages))
-    return _cut(problem, cost, POSITIONS, velocities, active, np.zeros((problem.stages, 2), dtype=int))
+    active = tuple(np.zeros((positions, velocities)) for _ in range(problem.stages))
+    return _cut(problem, cost, positions, velocities, active, np.zeros((problem.stages, 2), dtype=int))
 
 
 def _cut(problem: Problem, cost: str, positions: int, velocities: int, active, corner: np.ndarray) -> Cells:
