@@ -123,15 +123,16 @@ def test_paths_as_polynomials_are_the_paths(name):
 
 
 def test_maptor_plans_what_collocation_plans(monkeypatch):
-    """On one mesh a level, within 2 % of the optimum. Neighbouring intervals of its answer both hold their point."""
+    """On the first mesh and level, within 3 % of the optimum: neighbouring intervals of its answer share a point."""
     pytest.importorskip("maptor")
     monkeypatch.setattr(adaptive_mesh, "MESHES", 1)
+    monkeypatch.setattr(adaptive_mesh, "LEVELS", adaptive_mesh.LEVELS[:1])
     task = load_task("forwarder-vertical", start="middle")
     start = dp.start_position(stages.discretise(task, 0.05), "middle")
     motion = adaptive_mesh.plan(task, "cp", start, lambda text, share: None)
     judged = evaluate(task, motion)
     assert motion.position[0] == start and judged.feasible
-    assert 20.0e3 < judged.energy_cp < 1.02 * 20.05e3
+    assert 20.0e3 < judged.energy_cp < 1.03 * 20.05e3
     assert motion.log == ("1 meshes, 20 points in the last, its error above the aim",)
 
 
