@@ -1,4 +1,4 @@
-"""Draw the README's picture: python scripts/picture.py (writes docs/figures/half-cycle.png)."""
+"""Draw the README's picture: python scripts/picture.py (writes docs/figures/two-ways.png)."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def main() -> None:
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(alpha=0.25)
     figure.tight_layout()
-    path = Path(__file__).parent.parent / "docs" / "figures" / "half-cycle.png"
+    path = Path(__file__).parent.parent / "docs" / "figures" / "two-ways.png"
     path.parent.mkdir(exist_ok=True)
     figure.savefig(path, dpi=110)
 

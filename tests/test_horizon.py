@@ -42,7 +42,7 @@ def test_nothing_beyond_the_horizon_changes_what_is_done_now(recedings):
     assert other.status == "solved"
     np.testing.assert_array_equal(other.velocity[:31], recedings["cp"].velocity[:31])
     np.testing.assert_array_equal(other.position[:31], recedings["cp"].position[:31])
-    assert np.abs(other.velocity[31:41] - recedings["cp"].velocity[31:41]).max() > 1e-6
+    assert np.abs(other.velocity[31:] - recedings["cp"].velocity[31:]).max() > 1e-3
 
 
 def test_a_horizon_over_the_whole_path_is_one_plan():

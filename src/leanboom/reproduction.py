@@ -31,7 +31,7 @@ SOLVED = "solved"  # folder of the solutions
 # Modules that present results or do what no experiment does: their sources have no part in a solution.
 APART = (
     "bounds", "cells", "certificate", "charts", "cli", "comparison", "continuation", "enclosure", "experiments",
-    "figures", "horizon", "incumbent", "inspection", "jobs", "lookahead", "printed", "replanning", "report",
+    "figures", "horizon", "incumbent", "inspection", "jobs", "lookahead", "printed", "proofs", "replanning", "report",
     "reproduction", "results", "runfolder", "simulation_page", "tables", "variations", "writing",
 )  # fmt: skip
 
