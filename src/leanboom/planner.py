@@ -48,6 +48,7 @@ REPEAT, TUBE_REPEATS = 1e-2, 4  # a tube is repeated while the judged cost falls
 MOVING, TOUCHING = 1e-3, 1e-4  # a limit that moves [m/s], and a motion on it [m]
 FINER = 5e-4  # stages are halved while that gains more than this share
 REPAIRABLE, ROOM = 1.05, 0.9995  # limits used up to this much too far are polished again, to below this share
+FAR = 5e-3  # a seed that is this share behind the best after a round is not polished again
 SETTLED = 1e-4  # polishing ends when it gains less than this share
 
 Progress = Callable[[str, float], None]
@@ -336,7 +337,10 @@ class _Run:
                 judged = self.repair(polisher, judged, switches, free)
             if beats(judged, chain, self.cost):
                 chain = judged
-            if not gains(before, judged_cost(chain, self.cost), SETTLED):
+            after = judged_cost(chain, self.cost)
+            assert self.best is not None
+            behind = chain.feasible and gains(after, judged_cost(self.best, self.cost), FAR)
+            if behind or not gains(before, after, SETTLED):
                 break
 
     def repair(self, polisher: Polisher, judged: Evaluation, switches: Modes, free: bool) -> Evaluation:
