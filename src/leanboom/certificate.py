@@ -128,7 +128,7 @@ def certify(
         )
     tell("best motion of the discretised problem", 0.02)
     best = incumbent.improve(
-        problem, incumbent.measure(problem, incumbent.on_stages(problem, motion), pump), pump, start is None
+        problem, incumbent.measure(problem, stages.on_stages(problem, motion), pump), pump, start is None
     )
     if not best.keeps_limits:
         raise InfeasibleError("the motion breaks a limit of the discretised problem; plan it with the same step")

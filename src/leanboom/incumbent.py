@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import dp, hydraulics, motion, stages
+from leanboom import dp, hydraulics, stages
 from leanboom.judge import PATH_TOLERANCE, TOLERANCE
 from leanboom.motion import Motion
 from leanboom.shaft import shaft_of
@@ -35,16 +35,6 @@ class Measured:
     def energy(self) -> float:
         """Sum of the stages' energies [J]."""
         return float(self.costs.sum())
-
-
-def on_stages(problem: Problem, seed: Motion) -> Motion:
-    """A motion on a problem's stages: itself, or one with its velocities there, ending at rest."""
-    if seed.acceleration.size == problem.stages:
-        return seed
-    _, velocity, _ = seed.at(problem.time)
-    velocity = velocity.copy()
-    velocity[-1] = 0.0
-    return motion.from_velocities(problem.step, float(seed.position[0]), velocity, seed.method, seed.cost)
 
 
 def measure(problem: Problem, candidate: Motion, pump: str) -> Measured:

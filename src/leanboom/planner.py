@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from leanboom import dp, motion, stages
+from leanboom import dp, stages
 from leanboom.errors import InfeasibleError, InputError, LeanboomError
 from leanboom.judge import Evaluation, evaluate, judged_cost
 from leanboom.motion import Motion
@@ -262,7 +262,7 @@ class _Run:
     def rides_on_a_limit(self, problem: Problem) -> bool:
         """Whether the best motion follows an end of the feasible extensions that itself moves."""
         assert self.best is not None
-        position = _on_stages(self.best.motion, problem).position
+        position = stages.on_stages(problem, self.best.motion).position
         for end in (problem.lower, problem.upper):
             moves = np.abs(np.gradient(end, problem.step)) > MOVING
             if np.any(moves & (np.abs(position - end) < TOUCHING)):
@@ -300,7 +300,7 @@ class _Run:
             half = 0.5**level
             for _ in range(TUBE_REPEATS):
                 before = judged_cost(chain, self.cost)
-                seed = _on_stages(chain.motion, problem)
+                seed = stages.on_stages(problem, chain.motion)
                 tube = stages.tube_grid(problem, seed.position, seed.velocity, half * width, half * spread, *TUBE)
                 policy = dp.solve(problem, tube, self.cost)
                 first = dp.best_start(policy) if start is None else start
@@ -323,7 +323,7 @@ class _Run:
             rounds = 1  # no modes, no second round
         for _ in range(rounds):
             before = judged_cost(chain, self.cost)
-            seed = _on_stages(chain.motion, problem)
+            seed = stages.on_stages(problem, chain.motion)
             switches = polish.modes(polisher, seed)
             if done is not None and switches.same_as(done):
                 break
@@ -413,16 +413,6 @@ def beats(one: Evaluation, other: Evaluation, cost: str) -> bool:
 def gains(before: float, after: float, share: float) -> bool:
     """Whether a cost fell by more than a share of its size."""
     return before - after > share * abs(before)
-
-
-def _on_stages(seed: Motion, problem: Problem) -> Motion:
-    """A motion on a problem's stages: itself, or its positions and velocities there, ending at rest."""
-    if seed.acceleration.size == problem.stages:
-        return seed
-    _, velocity, _ = seed.at(problem.time)
-    velocity = velocity.copy()
-    velocity[-1] = 0.0
-    return motion.from_velocities(problem.step, float(seed.position[0]), velocity, seed.method, seed.cost)
 
 
 def slower(task: Task, factor: float) -> Task:

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import hydraulics, kernels, kinematics
+from leanboom import hydraulics, kernels, kinematics, motion
 from leanboom.errors import InfeasibleError, InputError
+from leanboom.motion import Motion
 from leanboom.objective import COSTS
 from leanboom.shaft import shaft_of
 from leanboom.task import Task, sample
@@ -80,6 +81,16 @@ def discretise(task: Task, step: float) -> Problem:
     lower = np.array([stage[0, 0] for stage in intervals])
     upper = np.array([stage[-1, 1] for stage in intervals])
     return Problem(task, crane, task.duration / count, time, plane, lower, upper, intervals)
+
+
+def on_stages(problem: Problem, seed: Motion) -> Motion:
+    """A motion on a problem's stages: itself, or one with its velocities there, ending at rest."""
+    if seed.acceleration.size == problem.stages:
+        return seed
+    _, velocity, _ = seed.at(problem.time)
+    velocity = velocity.copy()
+    velocity[-1] = 0.0
+    return motion.from_velocities(problem.step, float(seed.position[0]), velocity, seed.method, seed.cost)
 
 
 def position_margin(task: Task, crane: cranes.Crane, plane: cranes.Plane, stroke: np.ndarray) -> np.ndarray:
@@ -202,7 +213,7 @@ def tables(problem: Problem, grid: Grid, cost: str) -> Tables:
         out[..., kernels.A0] = still.velocity[i]
         out[..., kernels.A1] = forth.velocity[i] - still.velocity[i]
         for column, name in ((kernels.B0, "acceleration"), (kernels.F0, "load")):
-            c0, c1, c2, c3 = (getattr(motion, name)[i] for motion in (still, forth, back, push))
+            c0, c1, c2, c3 = (getattr(moving, name)[i] for moving in (still, forth, back, push))
             out[..., column] = c0
             out[..., column + 1] = 0.5 * (c1 - c2)
             out[..., column + 2] = 0.5 * (c1 + c2) - c0
