@@ -108,7 +108,7 @@ def test_plan_without_options_uses_the_stated_defaults(calls):
     leanboom("plan", "forwarder-vertical")
     task, settings = calls[0]
     assert task.start == "smallest"
-    assert settings == {"pump": "ls", "cost": None, "method": "dp", "grid": (201, 101), "step": 0.05}
+    assert settings == {"pump": "ls", "cost": None, "method": "dp", "grid": (141, 71), "step": 0.05}
 
 
 def test_plan_tells_people_energies_saving_limits_and_assumptions(calls, planned):

@@ -8,11 +8,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from leanboom import dp, motion, polish, pseudo_inverse, stages
+from leanboom import crane as cranes
+from leanboom import dp, hydraulics, motion, polish, pseudo_inverse, stages
 from leanboom.files import load_task
 from leanboom.judge import evaluate, judged_cost
 from leanboom.machine import EfficiencyMap
-from leanboom.objective import COSTS
+from leanboom.shaft import shaft_of
 from leanboom.task import Lines, Task
 
 TASKS = {
@@ -28,20 +29,6 @@ TASKS["mapped"] = replace(
     TASKS["vertical"],
     machine=replace(TASKS["vertical"].machine, pump=replace(TASKS["vertical"].machine.pump, efficiency=MAP)),
 )
-
-
-class Spy:
-    """A solver that keeps what it was asked and what it answered, and may pretend to have failed."""
-
-    def __init__(self, solver, success=True):
-        self.solver, self.success, self.asked, self.answer = solver, success, {}, {}
-
-    def __call__(self, **asked):
-        self.asked, self.answer = asked, self.solver(**asked)
-        return self.answer
-
-    def stats(self):
-        return {**self.solver.stats(), **({} if self.success else {"success": False, "return_status": "Gave_Up"})}
 
 
 @cache
@@ -69,66 +56,6 @@ def polished(polisher: polish.Polisher, start: motion.Motion, rounds=1, free=Fal
         assert answer is not None, text
         start = answer
     return start
-
-
-# Derivatives
-
-
-def asked(name: str, cost: str):
-    """Solver, and a point near a seed inside all bounds, with the parameters and multipliers to use there."""
-    polisher = built(name, cost, 1.0)
-    spy = Spy(polisher.solver)
-    start = seed(name, cost, 1.0)
-    polish.solve(replace(polisher, solver=spy), start, polish.modes(polisher, start))
-    rng = np.random.default_rng(20170506)
-    x0 = spy.asked["x0"]
-    scale = np.tile(
-        np.maximum(0.05 * np.ptp(x0.reshape(-1, polisher.layout.size), axis=0), 1e-3), len(x0) // polisher.layout.size
-    )
-    x = x0 + scale * rng.normal(size=x0.size)
-    x = np.where(np.arange(x.size) % polisher.layout.size == 0, x0, x)  # positions stay where they are feasible
-    return polisher.solver, x, spy.asked["p"], rng.normal(size=spy.asked["lbg"].size)
-
-
-def differences(function, x, h=1e-6):
-    """Central differences by every variable, (values, variables)."""
-    columns = []
-    for i in range(x.size):
-        ahead, behind = x.copy(), x.copy()
-        ahead[i] += h
-        behind[i] -= h
-        columns.append((function(ahead) - function(behind)) / (2.0 * h))
-    return np.stack(columns, axis=-1)
-
-
-def close(found, wanted):
-    """Equal to the accuracy of central differences, each row relative to its largest entry."""
-    scale = np.maximum(np.abs(wanted).max(axis=-1, keepdims=True), np.abs(found).max(axis=-1, keepdims=True)) + 1.0
-    np.testing.assert_allclose(found / scale, wanted / scale, atol=2e-6)
-
-
-@pytest.mark.parametrize(
-    ("name", "cost"),
-    [
-        *(("vertical", cost) for cost in COSTS),
-        *(("slewing", "ls"), ("loader", "ls"), ("loader", "cp")),
-        *(("mapped", cost) for cost in ("ls", "cp", "recuperation")),
-    ],
-)
-def test_assembled_derivatives_equal_finite_differences(name, cost):
-    """Gradient, Jacobian and Hessian are scattered from one stage function; every entry is looked at."""
-    solver, x, p, multipliers = asked(name, cost)
-    value, rows = solver.get_function("nlp_f"), solver.get_function("nlp_g")
-    gradient, jacobian = solver.get_function("nlp_grad_f"), solver.get_function("nlp_jac_g")
-    close(np.array(gradient(x, p)[1]).ravel(), differences(lambda y: float(value(y, p)), x))
-    close(jacobian(x, p)[1].full(), differences(lambda y: np.array(rows(y, p)).ravel(), x))
-
-    def slope(y):
-        return 0.7 * np.array(gradient(y, p)[1]).ravel() + jacobian(y, p)[1].full().T @ multipliers
-
-    upper = solver.get_function("nlp_hess_l")(x, p, 0.7, multipliers).full()
-    assert np.array_equal(upper, np.triu(upper))
-    close(upper + np.triu(upper, 1).T, differences(slope, x))
 
 
 # Modes
@@ -185,10 +112,10 @@ def test_answer_keeps_dynamics_limits_and_ends_and_costs_what_the_solver_says(na
     """The judge's 2 ms and the trapezoid between stages differ by what switches inside an interval cost: 4 %."""
     polisher = built(name, cost, 0.1)
     problem, start = polisher.problem, seed(name, cost, 0.1)
-    spy = Spy(polisher.solver)
-    answer, text = polish.solve(replace(polisher, solver=spy), start, polish.modes(polisher, start))
+    switches = polish.modes(polisher, start)
+    answer, text = polish.solve(polisher, start, switches)
     assert answer is not None, text
-    assert text.startswith("Solve_Succeeded in ")
+    assert text.startswith("solved in ")
     ts = problem.step
     c, w, u = answer.position, answer.velocity, answer.acceleration
     np.testing.assert_allclose(c[1:], c[:-1] + ts * w[:-1] + 0.5 * ts**2 * u, atol=1e-13)
@@ -197,18 +124,44 @@ def test_answer_keeps_dynamics_limits_and_ends_and_costs_what_the_solver_says(na
     assert w[0] == 0.0 and w[-1] == 0.0
     judged = evaluate(problem.task, answer)
     assert judged.feasible, judged.status
-    assert judged_cost(judged, cost) == pytest.approx(1e3 * float(spy.answer["f"]), rel=0.04)
+    assert judged_cost(judged, cost) == pytest.approx(trapezoids(polisher, answer, cost), rel=0.04)
     assert judged_cost(judged, cost) < judged_cost(evaluate(problem.task, start), cost)
     assert (answer.method, answer.cost) == (start.method, cost)
 
 
-def test_an_answer_that_did_not_converge_is_never_returned():
+def trapezoids(polisher: polish.Polisher, made: motion.Motion, cost: str) -> float:
+    """Pump energy of a motion [J] from the powers at both ends of every interval."""
+    problem = polisher.problem
+    pump, drives = problem.crane.machine.pump, problem.crane.drives
+    total = 0.0
+    for nodes in (slice(None, -1), slice(1, None)):
+        pose = cranes.pose(problem.crane, problem.plane[nodes], made.position[nodes])
+        moving = cranes.move(pose, made.velocity[nodes], made.acceleration)
+        force = cranes.forces(pose, moving)
+        flow = sum(
+            hydraulics.cylinder_flow(v, d.area_out, d.area_in) for v, d in zip(moving.velocity, drives, strict=True)
+        )
+        pressure = pump.ls_margin + np.max(
+            [
+                hydraulics.counted_pressure(
+                    v, f, problem.crane.machine.driven_velocity, d.gain_out, d.back_out, d.gain_in, d.back_in
+                )
+                for v, f, d in zip(moving.velocity, force, drives, strict=True)
+            ],
+            axis=0,
+        )
+        supply = pressure if cost == "ls" else pump.constant_pressure
+        total += 0.5 * problem.step * np.sum(hydraulics.pump_power(supply, flow, *shaft_of(pump)))
+    return float(total)
+
+
+def test_an_answer_that_did_not_converge_is_never_returned(monkeypatch):
     polisher = built("vertical", "cp", 0.1)
     start = seed("vertical", "cp", 0.1)
-    failing = replace(polisher, solver=Spy(polisher.solver, success=False))
-    answer, text = polish.solve(failing, start, polish.modes(polisher, start))
+    monkeypatch.setattr(polish, "ITERATIONS", 2)
+    answer, text = polish.solve(polisher, start, polish.modes(polisher, start))
     assert answer is None
-    assert text.startswith("Gave_Up in ")
+    assert text == "not solved in 2 iterations"
 
 
 def test_modes_that_contradict_the_path_have_no_answer():
@@ -220,7 +173,7 @@ def test_modes_that_contradict_the_path_have_no_answer():
     # Both boom cylinders against the way the path drives them.
     answer, text = polish.solve(polisher, still, polish.Modes(-np.abs(found.sign), found.loaded))
     assert answer is None
-    assert "in" in text and "Solve_Succeeded" not in text
+    assert text.startswith("not solved in ")
 
 
 def test_constant_pressure_has_the_same_optimum_from_very_different_seeds():

@@ -104,7 +104,7 @@ def plan(
     ] = None,
     grid: Annotated[
         str, typer.Option(metavar="PxV", help="Positions and velocities of the extension on the coarse grid.")
-    ] = "201x101",
+    ] = "141x71",
     step: Annotated[str, typer.Option(metavar="TIME", help="Length of a stage, in seconds.")] = "0.05",
     out: Annotated[
         Path | None,
@@ -171,7 +171,7 @@ def certify(
     as_json: Json = False,
 ) -> None:
     """Plan a task and prove how far from the optimum the plan can be."""
-    _, stage = _settings("201x101", step)
+    _, stage = _settings("141x71", step)
     from leanboom import certificate, files, planner, runfolder
 
     limit = _time("seconds", seconds)

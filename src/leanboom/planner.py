@@ -40,11 +40,13 @@ METHODS = {
 }
 PUMPS = ("ls", "cp")
 
-# Tubes: nodes, and half widths relative to the coarse grid's spacing; halved each level.
-TUBE = (31, 33)
-TUBE_WIDTH, TUBE_SPREAD = 6.0, 6.0
-TUBE_LEVELS, BASIN_LEVELS = 5, 2  # the best basin is chosen after BASIN_LEVELS
-REPEAT, TUBE_REPEATS = 1e-2, 4  # a tube is repeated while the judged cost falls by more than this share
+GRID = (141, 71)  # positions and velocities of the coarse program: denser ones end no lower on the bundled tasks
+# Tubes: nodes, and half widths as shares of stroke range and velocity limit; level n is 1 / 2^n as wide.
+TUBE, RIDING_TUBE = (17, 33), (31, 33)  # the second where the motion follows an end of the extensions that moves
+TUBE_WIDTH, TUBE_SPREAD = 0.03, 0.12
+BASIN_LEVELS, LAST_LEVELS, FINER_LEVELS = (0, 1), (2, 4), (2, 3)  # around coarse motions, the best, on finer stages
+REPEAT, TUBE_REPEATS = 1e-2, 2  # a tube is repeated while the judged cost falls by more than this share
+POLISHABLE = 1.3  # a motion that uses a limit up to this much too far is polished where it is cheaper
 MOVING, TOUCHING = 1e-3, 1e-4  # a limit that moves [m/s], and a motion on it [m]
 FINER = 5e-4  # stages are halved while that gains more than this share
 REPAIRABLE, ROOM = 1.05, 0.9995  # limits used up to this much too far are polished again, to below this share
@@ -75,7 +77,7 @@ def plan(
     *,
     cost: str | None = None,
     method: str = "dp",
-    grid: tuple[int, int] = (201, 101),
+    grid: tuple[int, int] = GRID,
     step: float = 0.05,
     check: bool = True,
 ) -> Motion:
@@ -109,7 +111,7 @@ def run(
     pump: str = "ls",
     cost: str | None = None,
     method: str = "dp",
-    grid: tuple[int, int] = (201, 101),
+    grid: tuple[int, int] = GRID,
     step: float = 0.05,
     baseline: bool = True,
     progress: Progress | None = None,
@@ -226,8 +228,7 @@ class _Run:
         problem = stages.discretise(self.task, self.step)
         start = dp.start_position(problem, self.task.start)
         low, high = stages.stroke_range(self.task)
-        width = TUBE_WIDTH * (high - low) / (self.grid[0] - 1)
-        spread = TUBE_SPREAD * 2.0 * problem.crane.machine.redundant.velocity_limit / (self.grid[1] - 1)
+        width, spread = TUBE_WIDTH * (high - low), TUBE_SPREAD * problem.crane.machine.redundant.velocity_limit
         for basin, (cost, share) in enumerate(self.basins()):
             self.tell(f"coarse dynamic program {basin + 1}", 0.05 + 0.35 * basin)
             grid = stages.full_grid(problem, *(max(3, size // share) for size in self.grid))
@@ -236,27 +237,25 @@ class _Run:
             name = f"coarse {grid.positions}x{grid.velocities} for {cost}"
             seed = self.judge(dp.rollout(coarse, first), name)
             del coarse
-            self.tubes(problem, seed, start, width, spread, range(BASIN_LEVELS))
+            self.refine(problem, seed, start, width, spread, BASIN_LEVELS, rounds=1)
         assert self.best is not None
-        free, loads = start is None, self.cost in ("ls", "actuator")
-        # Polish, then look around what it found: it has moved on from where its seed's modes came from.
-        self.polish(problem, self.best, free, rounds=1)
-        other = self.baseline(float(self.best.motion.position[0]) if start is None else start)
+        loads = self.cost in ("ls", "actuator")
+        # Modes read off the pseudo-inverse at times lead to a better valley, or along a moving limit.
+        other = self.baseline(float(self.best.motion.position[0]) if start is None else start, self.step)
         rides = self.rides_on_a_limit(problem)
         if other is not None and (loads or rides):
-            self.polish(problem, other, free)  # at times from a better valley, or along a moving limit
-        polished = self.best
-        # Without loads there are no modes, so one tube tells whether there is anything to find.
-        last = TUBE_LEVELS if loads else BASIN_LEVELS + 1
-        self.tubes(problem, polished, start, width, spread, range(BASIN_LEVELS, last))
-        if self.best is not polished:
-            self.polish(problem, self.best, free)
+            self.polish(problem, other, start is None)
+        # Look around what the polish found: it has moved on from where its modes came from. Without loads there are no
+        # modes, so one tube tells whether there is anything to find.
+        self.refine(problem, self.best, start, width, spread, LAST_LEVELS if loads else LAST_LEVELS[:1])
         if rides or self.rides_on_a_limit(problem):
             self.finer_stages(start, width, spread)
-        if other is not None and beats(other, self.best, self.cost):
-            self.best = other
-            self.note(f"the pseudo-inverse is better: {judged_cost(other, self.cost):.4g}; refining from it")
-            self.polish(problem, other, False)
+        if not self.best.feasible:
+            other = self.baseline(float(self.best.motion.position[0]) if start is None else start)
+            if other is not None and beats(other, self.best, self.cost):
+                self.best = other
+                self.note(f"the pseudo-inverse is better: {judged_cost(other, self.cost):.4g}; refining from it")
+                self.polish(problem, other, False)
         return self.best
 
     def rides_on_a_limit(self, problem: Problem) -> bool:
@@ -277,8 +276,7 @@ class _Run:
             self.polisher = None
             problem = stages.discretise(self.task, self.step / factor)
             self.polish(problem, self.best, start is None, rounds=1)
-            self.tubes(problem, self.best, start, width, spread, range(BASIN_LEVELS, BASIN_LEVELS + 2))
-            self.polish(problem, self.best, start is None, rounds=1)
+            self.refine(problem, self.best, start, width, spread, FINER_LEVELS, rounds=1)
             gained = gains(judged_cost(before, self.cost), judged_cost(self.best, self.cost), FINER)
             if before.feasible and not gained:
                 break
@@ -291,24 +289,34 @@ class _Run:
         """
         return [(self.cost, 1), ("cp", 2)] if self.cost == "ls" else [(self.cost, 1)]
 
-    def tubes(
-        self, problem: Problem, chain: Evaluation, start: float | None, width: float, spread: float, levels: range
-    ) -> None:
-        """Solve again on tubes around a chain of better and better motions, halved while the judged cost falls."""
+    def refine(
+        self, problem: Problem, seed: Evaluation, start: float | None, width: float, spread: float,
+        levels: tuple[int, ...], rounds: int = 4,
+    ) -> None:  # fmt: skip
+        """Tubes around a motion, then the polish of the best of them, and of a cheaper one that breaks a limit a little."""
+        chain, cheap = seed, None
+        nodes = RIDING_TUBE if self.rides_on_a_limit(problem) else TUBE
         for level in levels:
-            self.tell(f"tube {level + 1} of {TUBE_LEVELS}", 0.4 + 0.3 * level / TUBE_LEVELS)
+            self.tell(f"tubes of 1/{2**level} width", 0.4 + 0.1 * level)
             half = 0.5**level
             for _ in range(TUBE_REPEATS):
                 before = judged_cost(chain, self.cost)
-                seed = stages.on_stages(problem, chain.motion)
-                tube = stages.tube_grid(problem, seed.position, seed.velocity, half * width, half * spread, *TUBE)
+                at = stages.on_stages(problem, chain.motion)
+                tube = stages.tube_grid(problem, at.position, at.velocity, half * width, half * spread, *nodes)
                 policy = dp.solve(problem, tube, self.cost)
                 first = dp.best_start(policy) if start is None else start
                 found = self.judge(dp.rollout(policy, first), f"tube of {half * width:.4f} m, {half * spread:.4f} m/s")
                 if beats(found, chain, self.cost):
                     chain = found
+                elif not found.feasible and found.limit_use.worst < POLISHABLE:
+                    cheap = found if cheap is None or cheaper(found, cheap, self.cost) else cheap
                 if not gains(before, judged_cost(chain, self.cost), REPEAT):
                     break
+        assert self.best is not None
+        if chain is not seed or rounds == 1:
+            self.polish(problem, chain, start is None, rounds)
+        if cheap is not None and cheaper(cheap, self.best, self.cost):
+            self.polish(problem, cheap, start is None)
 
     def polish(self, problem: Problem, chain: Evaluation, free: bool, rounds: int = 4) -> None:
         """Fix the modes of a motion, solve the smooth problem, read the modes off the answer, repeat while it pays."""
@@ -319,7 +327,7 @@ class _Run:
         self.tell("polish", 0.75)
         polisher = self.polisher = self.polisher or polish.build(problem, self.cost)
         done = None
-        if not polisher.layout.loads:
+        if not polisher.loads:
             rounds = 1  # no modes, no second round
         for _ in range(rounds):
             before = judged_cost(chain, self.cost)
@@ -367,12 +375,16 @@ class _Run:
         assert self.best is not None
         return self.best
 
-    def baseline(self, start: float) -> Evaluation | None:
-        """The actuator pseudo-inverse from a start [m], judged; None where it cannot follow the path."""
+    def baseline(self, start: float, step: float | None = None) -> Evaluation | None:
+        """The actuator pseudo-inverse from a start [m], judged; None where it cannot follow the path.
+
+        Its own step [s] is short and takes time; as a first guess a stage's will do.
+        """
         from leanboom import pseudo_inverse
 
         try:
-            return evaluate(self.task, pseudo_inverse.resolve(self.task, start, "actuator"))
+            step = pseudo_inverse.STEP if step is None else step
+            return evaluate(self.task, pseudo_inverse.resolve(self.task, start, "actuator", step))
         except LeanboomError:
             return None
 
@@ -407,6 +419,11 @@ def beats(one: Evaluation, other: Evaluation, cost: str) -> bool:
         return one.feasible
     if not one.feasible:
         return one.limit_use.worst < other.limit_use.worst
+    return judged_cost(one, cost) < judged_cost(other, cost)
+
+
+def cheaper(one: Evaluation, other: Evaluation, cost: str) -> bool:
+    """Whether a judged motion costs less than another, limits aside."""
     return judged_cost(one, cost) < judged_cost(other, cost)
 
 

@@ -200,25 +200,9 @@ def tube_grid(
 
 def tables(problem: Problem, grid: Grid, cost: str) -> Tables:
     """All physics of a problem on the nodes of a grid."""
-    crane, machine = problem.crane, problem.crane.machine
     c_hi = np.maximum(grid.c_hi, grid.c_lo + 1e-9)
     share = np.linspace(0.0, 1.0, grid.positions)
     nodes = grid.c_lo[:, None] + (c_hi - grid.c_lo)[:, None] * share
-    pose = cranes.pose(crane, problem.plane[:, None], nodes)
-    still, forth, back, push = (cranes.move(pose, w, u) for w, u in ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0)))
-    cylinders = machine.cylinders[problem.moving]
-    coefficients = np.empty((*nodes.shape, len(cylinders), kernels.COEFFICIENTS))
-    for m, i in enumerate(range(len(machine.cylinders))[problem.moving]):
-        out = coefficients[:, :, m]
-        out[..., kernels.A0] = still.velocity[i]
-        out[..., kernels.A1] = forth.velocity[i] - still.velocity[i]
-        for column, name in ((kernels.B0, "acceleration"), (kernels.F0, "load")):
-            c0, c1, c2, c3 = (getattr(moving, name)[i] for moving in (still, forth, back, push))
-            out[..., column] = c0
-            out[..., column + 1] = 0.5 * (c1 - c2)
-            out[..., column + 2] = 0.5 * (c1 + c2) - c0
-            out[..., column + 3] = c3 - c0
-        out[..., kernels.COULOMB] = pose.coulomb[i]
     stage = np.empty((problem.stages + 1, kernels.STAGE_COLUMNS))
     stage[:, kernels.C_LO] = grid.c_lo
     stage[:, kernels.DC] = (c_hi - grid.c_lo) / (grid.positions - 1)
@@ -226,7 +210,34 @@ def tables(problem: Problem, grid: Grid, cost: str) -> Tables:
     stage[:, kernels.DW] = (grid.w_hi - grid.w_lo) / (grid.velocities - 1)
     flow, pressure, rate = prescribed(problem, cost)
     stage[:, kernels.FIXED_FLOW], stage[:, kernels.FIXED_PRESSURE], stage[:, kernels.FIXED_COST] = flow, pressure, rate
-    return Tables(coefficients, _distance_outside(problem, nodes), stage, cylinder_table(problem), grid.velocities)
+    return Tables(
+        coefficients(problem, nodes), _distance_outside(problem, nodes), stage, cylinder_table(problem), grid.velocities
+    )
+
+
+def coefficients(problem: Problem, positions: np.ndarray) -> np.ndarray:
+    """The kernels' coefficients at positions of the redundant cylinder [m], (stages + 1, any number).
+
+    Returns:
+        (stages + 1, any number, moving, kernels.COEFFICIENTS).
+    """
+    crane = problem.crane
+    pose = cranes.pose(crane, problem.plane[:, None], positions)
+    still, forth, back, push = (cranes.move(pose, w, u) for w, u in ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0)))
+    moving = range(len(crane.machine.cylinders))[problem.moving]
+    found = np.empty((*positions.shape, len(moving), kernels.COEFFICIENTS))
+    for m, i in enumerate(moving):
+        out = found[:, :, m]
+        out[..., kernels.A0] = still.velocity[i]
+        out[..., kernels.A1] = forth.velocity[i] - still.velocity[i]
+        for column, name in ((kernels.B0, "acceleration"), (kernels.F0, "load")):
+            c0, c1, c2, c3 = (getattr(one, name)[i] for one in (still, forth, back, push))
+            out[..., column] = c0
+            out[..., column + 1] = 0.5 * (c1 - c2)
+            out[..., column + 2] = 0.5 * (c1 + c2) - c0
+            out[..., column + 3] = c3 - c0
+        out[..., kernels.COULOMB] = pose.coulomb[i]
+    return found
 
 
 def prescribed(problem: Problem, cost: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
