@@ -35,9 +35,9 @@ def small(name: str, cost: str, free: bool = False) -> tuple[program.Program, pr
     switches = polish.modes(polisher, moved)
     mode = polish._mode_parameters(polisher, switches)
     stated = polish._program(polisher, moved, switches, mode, free, (1.0, 1.0))
-    local = polish._pressures_and_flows(polisher, moved, switches, mode)
-    state = np.stack([moved.position, moved.velocity], axis=1)
-    return stated, program.Point(state, moved.acceleration.copy(), local + 0.1 * rng.random(local.shape))
+    point = polish._guess(polisher, moved, switches, mode)
+    point.local[:] += 0.1 * rng.random(point.local.shape)
+    return stated, point
 
 
 def count(stated: program.Program) -> tuple[int, int]:
@@ -46,18 +46,17 @@ def count(stated: program.Program) -> tuple[int, int]:
 
 
 def flat(point: program.Point) -> np.ndarray:
-    return np.concatenate([part.ravel() for part in point])
+    return point.every.copy()
 
 
 def shaped(stated: program.Program, x: np.ndarray) -> program.Point:
-    stages_, n = count(stated)
-    a, b = 2 * (stages_ + 1), 2 * (stages_ + 1) + stages_
-    return program.Point(x[:a].reshape(-1, 2).copy(), x[a:b].copy(), x[b:].reshape(stages_, 2, 1 + n).copy())
+    point = program.empty_point(*count(stated))
+    point.every[:] = x
+    return point
 
 
 def empty(stated: program.Program) -> program.Limits:
-    stages_, n = count(stated)
-    return program.limits(np.zeros(program.limit_count(stages_, n)), stages_, n)
+    return program.empty_limits(*count(stated))
 
 
 def measured(stated: program.Program, x: np.ndarray) -> tuple[float, np.ndarray]:
@@ -85,26 +84,26 @@ def assembled(stated: program.Program, x: np.ndarray, slack, multiplier):
     point, value = shaped(stated, x), empty(stated)
     jet = np.empty((stages_ + 1, n, 3, kernels.COEFFICIENTS))
     program.jets(stated, point.state[:, 0], jet)
-    scratch = np.empty((n, 3, program.DERIVATIVES))
-    program.evaluate(stated, point, jet, scratch, value)
+    moved, bends = np.empty((n, 3, program.DERIVATIVES)), np.empty((n, 3))
+    program.evaluate(stated, point, jet, moved, value)
     matrix, gradient = np.zeros((x.size, x.size)), np.zeros(x.size)
     size = 4 + n
     a, b = 2 * (stages_ + 1), 2 * (stages_ + 1) + stages_
+    parts, pulls = np.zeros((stages_ + 1, 2, 2)), np.zeros((stages_ + 1, 2))
+    arguments = stated, point, jet, value, slack, multiplier, BARRIER
+    program.assemble_nodes(*arguments, parts, pulls)
     for k in range(stages_ + 1):
-        part, pull = np.zeros((2, 2)), np.zeros(2)
-        program.assemble_node(stated, k, point, jet, value, slack, multiplier, BARRIER, part, pull)
         at = np.array([2 * k, 2 * k + 1])
-        gradient[at] += pull
-        matrix[np.ix_(at, at)] += np.tril(part) + np.tril(part, -1).T
+        gradient[at] += pulls[k]
+        matrix[np.ix_(at, at)] += np.tril(parts[k]) + np.tril(parts[k], -1).T
+    ends, pulls = np.full((stages_, 2, size, size), np.nan), np.full((stages_, 2, size), np.nan)
+    program.assemble_ends(*arguments, moved, bends, ends, pulls)
     for k in range(stages_):
         for e in range(2):
-            part, pull = np.full((size, size), np.nan), np.full(size, np.nan)
-            program.assemble_end(stated, k, e, point, jet, value, slack, multiplier, BARRIER, scratch, part, pull)
-            at = np.concatenate(
-                [[2 * (k + e), 2 * (k + e) + 1, a + k], b + (2 * k + e) * (1 + n) + np.arange(1 + n)]
-            ).astype(int)
-            gradient[at] += pull
-            matrix[np.ix_(at, at)] += np.tril(part) + np.tril(part, -1).T
+            own = b + (2 * k + e) * (1 + n) + np.arange(1 + n)
+            at = np.concatenate([[2 * (k + e), 2 * (k + e) + 1, a + k], own]).astype(int)
+            gradient[at] += pulls[k, e]
+            matrix[np.ix_(at, at)] += np.tril(ends[k, e]) + np.tril(ends[k, e], -1).T
     return matrix, gradient, value
 
 
@@ -130,7 +129,7 @@ CASES = [
 
 @pytest.mark.parametrize(("name", "cost"), CASES)
 def test_assembled_derivatives_equal_differences(name, cost):
-    """Gradient: cost less pull x limit. Matrix: curvature of cost less m g, plus m / t times the limits' slopes squared."""
+    """Gradient: cost less pull x limit. Matrix: curvature of cost less m g, plus m / t x the limits' slopes squared."""
     stated, point = small(name, cost, True)
     x = flat(point)
     slack, multiplier = multipliers(stated)
@@ -187,6 +186,15 @@ def test_interpolated_coefficients_are_the_cranes(name):
 # The step
 
 
+def standing(stated: program.Program, point: program.Point, slack: program.Limits) -> interior_point.Place:
+    """A place with all that is known there."""
+    stages_, n = count(stated)
+    place = interior_point.Place(point, np.empty((stages_ + 1, n, 3, kernels.COEFFICIENTS)), empty(stated), slack)
+    program.jets(stated, point.state[:, 0], place.jet)
+    program.evaluate(stated, point, place.jet, np.empty((n, 3, program.DERIVATIVES)), place.value)
+    return place
+
+
 @pytest.mark.parametrize("free", [False, True])
 @pytest.mark.parametrize(("name", "cost"), [("vertical", "ls"), ("slewing", "cp"), ("loader", "actuator")])
 def test_recursion_solves_the_newton_system(name, cost, free):
@@ -216,23 +224,21 @@ def test_recursion_solves_the_newton_system(name, cost, free):
     kkt = np.block([[shifted, rows.T], [rows, np.zeros((len(rows), len(rows)))]])
     wanted = np.linalg.solve(kkt, np.concatenate([-gradient, np.zeros(len(rows))]))[: x.size]
 
-    jet = np.empty((stages_ + 1, n, 3, kernels.COEFFICIENTS))
-    program.jets(stated, point.state[:, 0], jet)
-    scratch = np.empty((n, 3, program.DERIVATIVES))
-    out = interior_point.empty_eliminated(stages_, n)
-    arguments = stated, point, jet, value, slack, multiplier, BARRIER
-    good, first = interior_point.eliminate(*arguments, shift, scratch, out)
+    place = standing(stated, point, slack)
+    step, slack_step, turn = program.empty_point(stages_, n), empty(stated), empty(stated)
+    work = interior_point.empty_work(stages_, n)
+    good, slope = interior_point.newton(
+        stated, place, place.value, multiplier, BARRIER, shift, work, step, slack_step, turn
+    )
     assert good
-    move, slack_move, turn = interior_point.empty_point(stages_, n), empty(stated), empty(stated)
-    slope = interior_point.substitute(*arguments, first, scratch, out, move, slack_move, turn)
     used = stated.counts.every
-    steps = flat(move)
+    steps = flat(step)
     if cost not in ("ls", "cp"):
         steps[b:] = wanted[b:]  # no variables
     np.testing.assert_allclose(steps, wanted, atol=1e-7 * np.abs(wanted).max())
     along = differences(lambda s: measured(stated, x + s[0] * wanted)[1], np.zeros(1))[:, 0]
-    np.testing.assert_allclose(slack_move.every[used], (along + value.every - slack.every)[used], rtol=1e-4, atol=1e-6)
-    complementary = (slack.every * turn.every + multiplier.every * slack_move.every)[used]
+    np.testing.assert_allclose(slack_step.every[used], (along + value.every - slack.every)[used], rtol=1e-4, atol=1e-6)
+    complementary = (slack.every * turn.every + multiplier.every * slack_step.every)[used]
     np.testing.assert_allclose(complementary, (BARRIER - slack.every * multiplier.every)[used], atol=1e-9)
     downhill = float(differences(lambda s: np.array(measured(stated, x + s[0] * wanted)[0]), np.zeros(1))[0])
     assert slope == pytest.approx(downhill, rel=1e-4, abs=1e-8)
@@ -242,17 +248,12 @@ def test_a_direction_that_is_not_downhill_is_told():
     """Without a shift, at a point where the cost bends the wrong way, elimination says so."""
     stated, point = small("vertical", "ls")
     stages_, n = count(stated)
-    value = empty(stated)
     slack, multiplier = multipliers(stated)
     slack.every[:], multiplier.every[:] = 1.0, 1e-9  # nothing holds flow and pressure: their product is a saddle
-    jet = np.empty((stages_ + 1, n, 3, kernels.COEFFICIENTS))
-    program.jets(stated, point.state[:, 0], jet)
-    scratch = np.empty((n, 3, program.DERIVATIVES))
-    program.evaluate(stated, point, jet, scratch, value)
-    arguments = stated, point, jet, value, slack, multiplier, BARRIER
-    out = interior_point.empty_eliminated(stages_, n)
-    assert not interior_point.eliminate(*arguments, 0.0, scratch, out)[0]
-    assert interior_point.eliminate(*arguments, 1e3, scratch, out)[0]
+    place, work = standing(stated, point, slack), interior_point.empty_work(stages_, n)
+    out = program.empty_point(stages_, n), empty(stated), empty(stated)
+    assert not interior_point.newton(stated, place, place.value, multiplier, BARRIER, 0.0, work, *out)[0]
+    assert interior_point.newton(stated, place, place.value, multiplier, BARRIER, 1e3, work, *out)[0]
 
 
 # The answer
@@ -311,7 +312,7 @@ def by_ipopt(polisher: polish.Polisher, start: motion.Motion, switches: polish.M
             hold(p[column], stated.base[k + e], np.inf)
             pressure = p[column] + stated.pump[program.SUPPLY] if cost == "ls" else stated.pump[program.SUPPLY]
             total += 0.5 * problem.step * pressure * flow / machine.pump.efficiency
-    local = polish._pressures_and_flows(polisher, start, switches, mode)
+    local = polish._guess(polisher, start, switches, mode).local
     x = ca.vertcat(u, ca.vec(s), p)
     options = {"ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-9}, "print_time": False}
     solver = ca.nlpsol("twin", "ipopt", {"x": x, "f": total + 1e-9 * ca.sumsqr(p), "g": ca.vertcat(*rows)}, options)
@@ -334,11 +335,7 @@ def test_answer_is_ipopts(name, cost):
     switches = polish.modes(polisher, start)
     mode = polish._mode_parameters(polisher, switches)
     stated = polish._program(polisher, start, switches, mode, False, (1.0, 1.0))
-    guess = program.Point(
-        np.stack([start.position, start.velocity], axis=1),
-        start.acceleration,
-        polish._pressures_and_flows(polisher, start, switches, mode),
-    )
+    guess = polish._guess(polisher, start, switches, mode)
     unit = 1e-3 * dp.energy_scale(problem, cost)
     answer, solved, _ = interior_point.minimise(stated, guess, 1e-5 * unit, 1e-10 * unit, 300)
     assert solved
@@ -353,11 +350,7 @@ def test_a_better_answer_from_a_smaller_last_barrier():
     switches = polish.modes(polisher, start)
     mode = polish._mode_parameters(polisher, switches)
     stated = polish._program(polisher, start, switches, mode, False, (1.0, 1.0))
-    guess = program.Point(
-        np.stack([start.position, start.velocity], axis=1),
-        start.acceleration,
-        polish._pressures_and_flows(polisher, start, switches, mode),
-    )
+    guess = polish._guess(polisher, start, switches, mode)
     costs = []
     for last in (1e-4, 1e-5, 1e-6, 1e-9):
         answer, solved, _ = interior_point.minimise(stated, guess, 1e-2, last, 300)

@@ -21,7 +21,20 @@ from numba import njit
 
 from leanboom.kernels import COEFFICIENTS
 from leanboom.program import (
-    DERIVATIVES, C, Limits, P, Point, U, W, assemble_end, assemble_node, change_limits, evaluate, jets, limit_count, limits,
+    DERIVATIVES,
+    C,
+    Limits,
+    P,
+    Point,
+    U,
+    W,
+    assemble_ends,
+    assemble_nodes,
+    change_limits,
+    empty_limits,
+    empty_point,
+    evaluate,
+    jets,
 )  # fmt: skip
 
 BOUNDARY = 0.995  # share of the way to the nearest limit that a step may go
@@ -42,7 +55,9 @@ class Eliminated(NamedTuple):
     pulls: np.ndarray  # their right sides over pivots
     gain: np.ndarray  # of the controls, (stages, 2)
     push: np.ndarray  # (stages,)
-    gradient: np.ndarray  # of the condensed cost by an end's variables, (stages, 2, 4 + cylinders)
+    matrix: np.ndarray  # of the ends' condensed cost, (stages, 2, 4 + cylinders, 4 + cylinders)
+    gradient: np.ndarray  # (stages, 2, 4 + cylinders)
+    node_matrix: np.ndarray  # of the nodes', (stages + 1, 2, 2)
     node_gradient: np.ndarray  # (stages + 1, 2)
 
 
@@ -92,58 +107,54 @@ def eliminate(program, place, value, multiplier, barrier, shift, work):
     """
     point, jet, slack, moved, bends, out = place.point, place.jet, place.slack, work.moved, work.bends, work.out
     stages, size, ts = point.control.size, 4 + program.table.shape[2], program.step
-    matrix, vector = np.empty((size, size)), np.empty(size)
-    node, pull = np.empty((2, 2)), np.empty(2)
+    arguments = program, point, jet, value, slack, multiplier, barrier
+    assemble_ends(*arguments, moved, bends, out.matrix, out.gradient)
+    assemble_nodes(*arguments, out.node_matrix, out.node_gradient)
+    vector = np.empty(size)
     h = 0.5 * ts * ts
-    pcc = pwc = pww = pc = pw = 0.0  # of the value at the node behind
+    acc = awc = aww = auc = auw = auu = ac = aw = au = 0.0  # of what is left at the node, and of the control
     for k in range(stages - 1, -1, -1):
-        assemble_node(program, k + 1, point, jet, value, slack, multiplier, barrier, node, pull)
-        out.node_gradient[k + 1] = pull
-        pcc, pwc, pww = pcc + node[C, C], pwc + node[W, C], pww + node[W, W]
-        pc, pw = pc + pull[C], pw + pull[W]
-        assemble_end(program, k, 1, point, jet, value, slack, multiplier, barrier, moved, bends, matrix, vector)
-        out.gradient[k, 1] = vector
-        for j in range(P, size):
-            matrix[j, j] += shift
-        if not eliminate_locals(matrix, vector, out.rows[k, 1], out.pulls[k, 1]):
-            return False, 0.0
-        # By c', w', u; then by c, w, u through c' = c + ts w + h u, w' = w + ts u.
-        acc, awc, aww = matrix[C, C] + pcc, matrix[W, C] + pwc, matrix[W, W] + pww
-        auc, auw, auu = matrix[U, C], matrix[U, W], matrix[U, U]
-        ac, aw, au = vector[C] + pc, vector[W] + pw, vector[U]
-        bwc = ts * acc + awc
-        buc = h * acc + ts * awc + auc
-        bww = ts * ts * acc + 2.0 * ts * awc + aww
-        buw = ts * (h * acc + ts * awc + auc) + h * awc + ts * aww + auw
-        buu = h * (h * acc + 2.0 * (ts * awc + auc)) + ts * (ts * aww + 2.0 * auw) + auu
-        bc, bw, bu = ac, ts * ac + aw, h * ac + ts * aw + au
-        assemble_end(program, k, 0, point, jet, value, slack, multiplier, barrier, moved, bends, matrix, vector)
-        out.gradient[k, 0] = vector
-        for j in range(P, size):
-            matrix[j, j] += shift
-        if not eliminate_locals(matrix, vector, out.rows[k, 0], out.pulls[k, 0]):
-            return False, 0.0
-        bcc, bwc, bww = acc + matrix[C, C] + shift, bwc + matrix[W, C], bww + matrix[W, W] + shift
-        buc, buw, buu = buc + matrix[U, C], buw + matrix[U, W], buu + matrix[U, U] + shift
-        bc, bw, bu = bc + vector[C], bw + vector[W], bu + vector[U]
-        if k == stages - 1:  # the control that ends at rest
-            gain_c, gain_w, push = 0.0, -1.0 / ts, 0.0
-        else:
-            if not buu > 0.0:
+        node, pull = out.node_matrix[k + 1], out.node_gradient[k + 1]
+        acc, awc, aww = acc + node[C, C], awc + node[W, C], aww + node[W, W]
+        ac, aw = ac + pull[C], aw + pull[W]
+        auc = auw = auu = au = 0.0
+        for e in (1, 0):
+            if e == 0:
+                # From c', w', u to c, w, u through c' = c + ts w + h u, w' = w + ts u.
+                auc, auw, auu = (
+                    h * acc + ts * awc + auc,
+                    ts * (h * acc + ts * awc + auc) + h * awc + ts * aww + auw,
+                    h * (h * acc + 2.0 * (ts * awc + auc)) + ts * (ts * aww + 2.0 * auw) + auu,
+                )
+                awc, aww = ts * acc + awc, ts * ts * acc + 2.0 * ts * awc + aww
+                aw, au = ts * ac + aw, h * ac + ts * aw + au
+                acc, aww, auu = acc + shift, aww + shift, auu + shift
+            matrix = out.matrix[k, e]
+            for j in range(size):
+                vector[j] = out.gradient[k, e, j]
+            for j in range(P, size):
+                matrix[j, j] += shift
+            if not eliminate_locals(matrix, vector, out.rows[k, e], out.pulls[k, e]):
                 return False, 0.0
-            gain_c, gain_w, push = -buc / buu, -buw / buu, -bu / buu
+            acc, awc, aww = acc + matrix[C, C], awc + matrix[W, C], aww + matrix[W, W]
+            auc, auw, auu = auc + matrix[U, C], auw + matrix[U, W], auu + matrix[U, U]
+            ac, aw, au = ac + vector[C], aw + vector[W], au + vector[U]
+        gain_c, gain_w, push = 0.0, -1.0 / ts, 0.0  # the last control ends at rest
+        if k < stages - 1:
+            if not auu > 0.0:
+                return False, 0.0
+            gain_c, gain_w, push = -auc / auu, -auw / auu, -au / auu
         out.gain[k, 0], out.gain[k, 1], out.push[k] = gain_c, gain_w, push
-        pcc = bcc + 2.0 * buc * gain_c + buu * gain_c * gain_c
-        pwc = bwc + buc * gain_w + buw * gain_c + buu * gain_c * gain_w
-        pww = bww + 2.0 * buw * gain_w + buu * gain_w * gain_w
-        pc = bc + buc * push + gain_c * (bu + buu * push)
-        pw = bw + buw * push + gain_w * (bu + buu * push)
-    assemble_node(program, 0, point, jet, value, slack, multiplier, barrier, node, pull)
-    out.node_gradient[0] = pull
+        ac, aw = ac + auc * push + gain_c * (au + auu * push), aw + auw * push + gain_w * (au + auu * push)
+        acc, awc, aww = (
+            acc + 2.0 * auc * gain_c + auu * gain_c * gain_c,
+            awc + auc * gain_w + auw * gain_c + auu * gain_c * gain_w,
+            aww + 2.0 * auw * gain_w + auu * gain_w * gain_w,
+        )
     if not program.free_start:
         return True, 0.0
-    curvature = pcc + node[C, C]
-    return curvature > 0.0, -(pc + pull[C]) / curvature
+    curvature = acc + out.node_matrix[0, C, C]
+    return curvature > 0.0, -(ac + out.node_gradient[0, C]) / curvature
 
 
 @njit(cache=True, error_model="numpy")
@@ -236,9 +247,8 @@ def survey(value, slack, multiplier, slack_step, counts, barrier):
 @njit(cache=True, error_model="numpy")
 def go(program, start, slack, step, slack_step, share, barrier, penalty, moved, end):
     """Go a share of a step; returns the cost and the merit there."""
-    end.point.state[:] = start.state + share * step.state
-    end.point.control[:] = start.control + share * step.control
-    end.point.local[:] = start.local + share * step.local
+    for j in range(start.every.size):
+        end.point.every[j] = start.every[j] + share * step.every[j]
     jets(program, end.point.state[:, C], end.jet)
     cost = evaluate(program, end.point, end.jet, moved, end.value)
     merit = cost
@@ -261,18 +271,6 @@ def settle(multiplier, step, share, slack, counts, barrier):
 
 
 @njit(cache=True, error_model="numpy")
-def empty_point(stages, cylinders):
-    """Room for a point or a step."""
-    return Point(np.zeros((stages + 1, 2)), np.zeros(stages), np.zeros((stages, 2, 1 + cylinders)))
-
-
-@njit(cache=True, error_model="numpy")
-def empty_limits(stages, cylinders):
-    """Room for one number for every limit."""
-    return limits(np.zeros(limit_count(stages, cylinders)), stages, cylinders)
-
-
-@njit(cache=True, error_model="numpy")
 def empty_place(stages, cylinders):
     """Room for a place."""
     return Place(
@@ -287,7 +285,8 @@ def empty_work(stages, cylinders):
     n = 1 + cylinders
     out = Eliminated(
         np.empty((stages, 2, n, 3 + n)), np.empty((stages, 2, n)), np.empty((stages, 2)), np.empty(stages),
-        np.empty((stages, 2, 3 + n)), np.empty((stages + 1, 2)),
+        np.empty((stages, 2, 3 + n, 3 + n)), np.empty((stages, 2, 3 + n)), np.empty((stages + 1, 2, 2)),
+        np.empty((stages + 1, 2)),
     )  # fmt: skip
     return Work(np.empty((cylinders, 3, DERIVATIVES)), np.empty((cylinders, 3)), empty_limits(stages, cylinders), out)
 
@@ -312,19 +311,21 @@ def minimise(program, guess, barrier, last_barrier, iterations):
     slack_step, bent_slack = empty_limits(stages, n), empty_limits(stages, n)
     multiplier, turn, bent_turn = empty_limits(stages, n), empty_limits(stages, n), empty_limits(stages, n)
     counts = program.counts.every
-    here.slack.every[:] = SMALLEST_SLACK
+    for j in range(counts.size):
+        here.slack.every[j] = SMALLEST_SLACK
     cost, _ = go(program, guess, here.slack.every, step, slack_step.every, 0.0, barrier, 0.0, work.moved, here)
-    multiplier.every[:] = barrier / here.slack.every
+    for j in range(counts.size):
+        multiplier.every[j] = barrier / here.slack.every[j]
     penalty, shift, broken = FIRST_PENALTY, 0.0, np.inf
     for iteration in range(iterations):
         slack = here.slack.every
-        last_shift, shift = shift, 0.0
-        good, slope = newton(program, here, here.value, multiplier, barrier, shift, work, step, slack_step, turn)
+        last_shift, shift, good, slope = shift, 0.0, False, 0.0
         while not good:
-            shift = max(FIRST_SHIFT, last_shift / GROWTH) if shift == 0.0 else GROWTH * shift
-            if shift > LARGEST_SHIFT:
-                return here.point, False, iteration
             good, slope = newton(program, here, here.value, multiplier, barrier, shift, work, step, slack_step, turn)
+            if not good:
+                shift = max(FIRST_SHIFT, last_shift / GROWTH) if shift == 0.0 else GROWTH * shift
+                if shift > LARGEST_SHIFT:
+                    return here.point, False, iteration
         broken, off, logarithms, change = survey(
             here.value.every, slack, multiplier.every, slack_step.every, counts, barrier
         )
@@ -342,23 +343,23 @@ def minimise(program, guess, barrier, last_barrier, iterations):
             continue
         share = furthest(slack, slack_step.every, counts)
         asked, then, accepted = merit + NOISE * abs(merit), cost, False
-        for halving in range(HALVINGS):
+        for trial in range(HALVINGS + 1):
+            if trial == 1:
+                # The step that meets the limits' curvature as well.
+                for j in range(counts.size):
+                    wanted.every[j] = there.value.every[j] - there.slack.every[j] + (
+                        slack[j] + share * (here.value.every[j] - slack[j])
+                    )  # fmt: skip
+                newton(program, here, wanted, multiplier, barrier, shift, work, bent, bent_slack, bent_turn)
+            far = furthest(slack, bent_slack.every, counts) if trial == 1 else share
+            way, slack_way = (bent, bent_slack) if trial == 1 else (step, slack_step)
             then, merit_then = go(
-                program, here.point, slack, step, slack_step.every, share, barrier, penalty, work.moved, there
+                program, here.point, slack, way, slack_way.every, far, barrier, penalty, work.moved, there
             )
             accepted = merit_then <= asked + SUFFICIENT * share * promise
-            if not accepted and halving == 0:
-                # The step that meets the limits' curvature as well.
-                wanted.every[:] = slack + share * (here.value.every - slack) + there.value.every - there.slack.every
-                newton(program, here, wanted, multiplier, barrier, shift, work, bent, bent_slack, bent_turn)
-                far = furthest(slack, bent_slack.every, counts)
-                then, merit_then = go(
-                    program, here.point, slack, bent, bent_slack.every, far, barrier, penalty, work.moved, there
-                )
-                accepted = merit_then <= asked + SUFFICIENT * share * promise
             if accepted:
                 break
-            share *= 0.5
+            share *= 0.5 if trial > 0 else 1.0
         if not accepted:
             return here.point, barrier <= last_barrier and broken <= ACCEPTABLE, iteration
         ahead = furthest(multiplier.every, turn.every, counts)

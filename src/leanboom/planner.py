@@ -2,8 +2,7 @@
 
 Method `dp` runs the whole chain of the package: a coarse dynamic program over all feasible extensions, tubes
 around its motion on ever finer grids, then the polish with the switches fixed. Whatever step a candidate comes
-from, the judge measures it, and the best feasible one wins; the pseudo-inverse is always among the candidates, so
-the plan is never worse than what a crane does today.
+from, the judge measures it, and the best feasible one wins.
 """
 
 from __future__ import annotations
@@ -12,20 +11,17 @@ import resource
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from leanboom import dp, stages
+from leanboom import dp, polish, stages
 from leanboom.errors import InfeasibleError, InputError, LeanboomError
 from leanboom.judge import Evaluation, evaluate, judged_cost
 from leanboom.motion import Motion
 from leanboom.objective import COSTS
+from leanboom.polish import Modes, Polisher
 from leanboom.stages import Problem
 from leanboom.task import Task
-
-if TYPE_CHECKING:
-    from leanboom.polish import Modes, Polisher  # CasADi is slow to import: when it is needed
 
 METHODS = {
     "dp": "dynamic programming over all extensions, refined in tubes and polished",
@@ -42,9 +38,10 @@ PUMPS = ("ls", "cp")
 
 GRID = (141, 71)  # positions and velocities of the coarse program: denser ones end no lower on the bundled tasks
 # Tubes: nodes, and half widths as shares of stroke range and velocity limit; level n is 1 / 2^n as wide.
-TUBE, RIDING_TUBE = (17, 33), (31, 33)  # the second where the motion follows an end of the extensions that moves
+# The second where the motion follows an end of the feasible extensions that moves, the third once it is polished.
+TUBE, RIDING_TUBE, LAST_TUBE = (17, 33), (31, 33), (17, 17)
 TUBE_WIDTH, TUBE_SPREAD = 0.03, 0.12
-BASIN_LEVELS, LAST_LEVELS, FINER_LEVELS = (0, 1), (2, 4), (2, 3)  # around coarse motions, the best, on finer stages
+LAST_LEVELS, FINER_LEVELS = (2, 4), (2, 3)  # around the best motion of all, and on finer stages
 REPEAT, TUBE_REPEATS = 1e-2, 2  # a tube is repeated while the judged cost falls by more than this share
 POLISHABLE = 1.3  # a motion that uses a limit up to this much too far is polished where it is cheaper
 MOVING, TOUCHING = 1e-3, 1e-4  # a limit that moves [m/s], and a motion on it [m]
@@ -138,8 +135,10 @@ def run(
     cost = pump if cost is None else cost
     _check(task, pump, cost, method, grid, step)
     tell = progress or (lambda text, share: None)
-    tell("loading kernels (compiled on the first run ever, which takes up to half a minute)", 0.0)
+    tell("loading kernels (compiled on the first run ever, which takes up to a minute)", 0.0)
     dp.prepare()
+    if method in ("dp", "polish"):
+        polish.prepare()
     began = time.perf_counter()
     solver = _Run(task, cost, grid, step, tell, began)
     best = solver.by(method)
@@ -229,7 +228,7 @@ class _Run:
         start = dp.start_position(problem, self.task.start)
         low, high = stages.stroke_range(self.task)
         width, spread = TUBE_WIDTH * (high - low), TUBE_SPREAD * problem.crane.machine.redundant.velocity_limit
-        for basin, (cost, share) in enumerate(self.basins()):
+        for basin, (cost, share, levels) in enumerate(self.basins()):
             self.tell(f"coarse dynamic program {basin + 1}", 0.05 + 0.35 * basin)
             grid = stages.full_grid(problem, *(max(3, size // share) for size in self.grid))
             coarse = dp.solve(problem, grid, cost)
@@ -237,14 +236,14 @@ class _Run:
             name = f"coarse {grid.positions}x{grid.velocities} for {cost}"
             seed = self.judge(dp.rollout(coarse, first), name)
             del coarse
-            self.refine(problem, seed, start, width, spread, BASIN_LEVELS, rounds=1)
+            self.refine(problem, seed, start, width, spread, levels, rounds=1)
         assert self.best is not None
-        loads = self.cost in ("ls", "actuator")
-        # Modes read off the pseudo-inverse at times lead to a better valley, or along a moving limit.
-        other = self.baseline(float(self.best.motion.position[0]) if start is None else start, self.step)
-        rides = self.rides_on_a_limit(problem)
-        if other is not None and (loads or rides):
-            self.polish(problem, other, start is None)
+        loads, rides = self.cost in ("ls", "actuator"), self.rides_on_a_limit(problem)
+        if rides or self.cost == "actuator":
+            # The pseudo-inverse at times lies in a better valley, or leads along a limit where tubes do not.
+            other = self.baseline(float(self.best.motion.position[0]) if start is None else start, self.step)
+            if other is not None:
+                self.polish(problem, other, start is None)
         # Look around what the polish found: it has moved on from where its modes came from. Without loads there are no
         # modes, so one tube tells whether there is anything to find.
         self.refine(problem, self.best, start, width, spread, LAST_LEVELS if loads else LAST_LEVELS[:1])
@@ -282,20 +281,20 @@ class _Run:
                 break
         self.polisher = None
 
-    def basins(self) -> list[tuple[str, int]]:
-        """Coarse programs whose motions are refined: cost, and how many times coarser than the grid asked for.
+    def basins(self) -> list[tuple[str, int, tuple[int, ...]]]:
+        """Coarse programs whose motions are refined: cost, how many times coarser than the grid, levels of tubes.
 
         LS has several valleys. The flow-optimal one is cheap to find and at times leads to the better of them.
         """
-        return [(self.cost, 1), ("cp", 2)] if self.cost == "ls" else [(self.cost, 1)]
+        return [(self.cost, 1, (0, 1)), ("cp", 2, (0,))] if self.cost == "ls" else [(self.cost, 1, (0, 1))]
 
     def refine(
         self, problem: Problem, seed: Evaluation, start: float | None, width: float, spread: float,
         levels: tuple[int, ...], rounds: int = 4,
     ) -> None:  # fmt: skip
-        """Tubes around a motion, then the polish of the best of them, and of a cheaper one that breaks a limit a little."""
+        """Tubes around a motion, then the polish of the best, and of a cheaper one that breaks a limit a little."""
         chain, cheap = seed, None
-        nodes = RIDING_TUBE if self.rides_on_a_limit(problem) else TUBE
+        nodes = RIDING_TUBE if self.rides_on_a_limit(problem) else LAST_TUBE if levels == LAST_LEVELS else TUBE
         for level in levels:
             self.tell(f"tubes of 1/{2**level} width", 0.4 + 0.1 * level)
             half = 0.5**level
@@ -320,8 +319,6 @@ class _Run:
 
     def polish(self, problem: Problem, chain: Evaluation, free: bool, rounds: int = 4) -> None:
         """Fix the modes of a motion, solve the smooth problem, read the modes off the answer, repeat while it pays."""
-        from leanboom import polish
-
         if not np.isfinite(judged_cost(chain, self.cost)):
             return  # out of reach somewhere: nothing to start from
         self.tell("polish", 0.75)
@@ -353,8 +350,6 @@ class _Run:
 
     def repair(self, polisher: Polisher, judged: Evaluation, switches: Modes, free: bool) -> Evaluation:
         """Polish again with room for what a polished motion broke between the ends of its intervals."""
-        from leanboom import polish
-
         use = judged.limit_use
         share = min(1.0, ROOM / use.velocity), min(1.0, ROOM / use.acceleration)
         answer, text = polish.solve(polisher, judged.motion, switches, free, share)

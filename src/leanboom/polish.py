@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import dp, hydraulics, interior_point, motion, program, stages
+from leanboom import dp, hydraulics, interior_point, kernels, motion, program, stages
 from leanboom.motion import Motion
 from leanboom.objective import COSTS
 from leanboom.shaft import shaft_of
@@ -147,11 +147,7 @@ def solve(
     problem = polisher.problem
     mode = _mode_parameters(polisher, switches)
     stated = _program(polisher, seed, switches, mode, free_start, share)
-    guess = program.Point(
-        np.stack([seed.position, seed.velocity], axis=1),
-        seed.acceleration,
-        _pressures_and_flows(polisher, seed, switches, mode),
-    )
+    guess = _guess(polisher, seed, switches, mode)
     unit = MILLI * dp.energy_scale(problem, polisher.cost)
     answer, solved, count = interior_point.minimise(stated, guess, BARRIER * unit, LAST_BARRIER * unit, ITERATIONS)
     text = f"{'solved' if solved else 'not solved'} in {count} iterations"
@@ -183,7 +179,8 @@ def _program(
             edge = np.maximum(np.where(sign == 0, np.maximum(held, np.abs(v[:, i])), held), LEAST_ROOM)
             low[:, 1 + i] = np.where(sign >= 0, -edge, low[:, 1 + i])
             high[:, 1 + i] = np.where(sign <= 0, edge, high[:, 1 + i])
-    counts = program.limits(np.ones(program.limit_count(problem.stages, n), dtype=np.bool_), problem.stages, n)
+    some = program.empty_limits(problem.stages, n).every
+    counts = program.limits(np.ones_like(some, dtype=np.bool_), problem.stages, n)
     counts.node[[0, -1], -2:] = False  # at rest
     if not free_start:
         counts.node[0] = False
@@ -201,27 +198,28 @@ def _program(
     supply = MEGA * (machine.pump.ls_margin if polisher.pressures else machine.pump.constant_pressure)
     return program.Program(
         problem.step, COSTS[polisher.cost], free_start, polisher.coefficients, problem.lower, _last(problem),
-        polisher.coulomb, np.array(stages.stroke_range(problem.task)), low, high, mode, pressure * MEGA, flow * LITRE, np.array(constants).T.copy(),
-        np.array([supply, *shaft_of(machine.pump).in_kilowatts()]), counts,
+        polisher.coulomb, np.array(stages.stroke_range(problem.task)), low, high, mode, pressure * MEGA, flow * LITRE,
+        np.array(constants).T.copy(), np.array([supply, *shaft_of(machine.pump).in_kilowatts()]), counts,
     )  # fmt: skip
 
 
-def _pressures_and_flows(polisher: Polisher, seed: Motion, switches: Modes, mode: np.ndarray) -> np.ndarray:
-    """First guess of supply pressure [MPa] and flows [l/s] at both ends of every interval, (stages, 2, 1 + moving)."""
+def _guess(polisher: Polisher, seed: Motion, switches: Modes, mode: np.ndarray) -> program.Point:
+    """First guess: the seed with its own supply pressure and flows."""
     problem = polisher.problem
     drives = problem.crane.drives[problem.moving]
-    local = np.zeros((problem.stages, 2, 1 + len(drives)))
+    point = program.empty_point(problem.stages, len(drives))
+    point.state[:, 0], point.state[:, 1], point.control[:] = seed.position, seed.velocity, seed.acceleration
     v = _speeds(problem, seed)
     _, pressure, _ = prescribed(problem, polisher.cost)
     for end in range(2):
         if polisher.flows:
             for i, d in enumerate(drives):
-                local[:, end, 1 + i] = LITRE * hydraulics.cylinder_flow(v[_nodes(end), i], d.area_out, d.area_in)
+                point.local[:, end, 1 + i] = LITRE * hydraulics.cylinder_flow(v[_nodes(end), i], d.area_out, d.area_in)
         if polisher.pressures:
             _, alpha, beta, gamma = np.moveaxis(mode[end], 1, 0)
             need = alpha * (beta * _force(problem, seed, end, switches.sign) + gamma)
-            local[:, end, 0] = np.maximum(MEGA * pressure[_nodes(end)], need.max(axis=1))
-    return local
+            point.local[:, end, 0] = np.maximum(MEGA * pressure[_nodes(end)], need.max(axis=1))
+    return point
 
 
 def _mode_parameters(polisher: Polisher, switches: Modes) -> np.ndarray:
@@ -247,3 +245,17 @@ def _mode_parameters(polisher: Polisher, switches: Modes) -> np.ndarray:
             mode[end, :, 2, i] = np.where(overruns, FORCE * s, beta)
             mode[end, :, 3, i] = gamma
     return mode
+
+
+def prepare() -> None:
+    """Load the compiled kernels, compiling them on the very first run, by stating a problem that is not solved."""
+    n, count = 2, 2
+    limit = np.zeros((count + 1, 1 + n))
+    node, pump = np.zeros(count + 1), np.ones(5)
+    counts = program.limits(np.zeros(program.empty_limits(count, n).every.size, dtype=np.bool_), count, n)
+    table = np.zeros((count + 1, POSITIONS, n, kernels.COEFFICIENTS))
+    stated = program.Program(
+        1.0, 0, False, table, node, node + 1.0, np.zeros((n, 2)), np.arange(2.0), limit, limit,
+        np.zeros((2, count, 4, n)), node, node, np.zeros((5, n)), pump, counts,
+    )  # fmt: skip
+    interior_point.minimise(stated, program.empty_point(count, n), 1.0, 1.0, 0)

@@ -34,7 +34,6 @@ from leanboom.kernels import (
     B3,
     COEFFICIENTS,
     COULOMB,
-    CP,
     EXTENSION,
     F0,
     F1,
@@ -69,9 +68,18 @@ class Limits(NamedTuple):
     every: np.ndarray  # both in one row: the others are views of it
 
 
+class Point(NamedTuple):
+    """The variables."""
+
+    state: np.ndarray  # position, velocity; (stages + 1, 2)
+    control: np.ndarray  # (stages,)
+    local: np.ndarray  # supply pressure and flows of both ends, (stages, 2, 1 + cylinders)
+    every: np.ndarray  # all in one row: the others are views of it
+
+
 @njit(cache=True, error_model="numpy")
 def limits(every, stages, cylinders):
-    """`Limits` over a row of numbers, of `limit_count` entries."""
+    """`Limits` over a row of numbers."""
     size = 2 + 2 * cylinders
     nodes = (stages + 1) * size
     node = every[:nodes].reshape((stages + 1, size))
@@ -79,9 +87,18 @@ def limits(every, stages, cylinders):
 
 
 @njit(cache=True, error_model="numpy")
-def limit_count(stages, cylinders):
-    """How many limits a program has."""
-    return (stages + 1) * (2 + 2 * cylinders) + stages * 2 * (1 + 5 * cylinders)
+def empty_limits(stages, cylinders):
+    """Room for one number for every limit."""
+    return limits(np.zeros((stages + 1) * (2 + 2 * cylinders) + stages * 2 * (1 + 5 * cylinders)), stages, cylinders)
+
+
+@njit(cache=True, error_model="numpy")
+def empty_point(stages, cylinders):
+    """Room for a point or a step."""
+    a, b = 2 * (stages + 1), 2 * (stages + 1) + stages
+    every = np.zeros(b + 2 * stages * (1 + cylinders))
+    local = every[b:].reshape((stages, 2, 1 + cylinders))
+    return Point(every[:a].reshape((stages + 1, 2)), every[a:b], local, every)
 
 
 class Program(NamedTuple):
@@ -103,14 +120,6 @@ class Program(NamedTuple):
     cylinder: np.ndarray  # (5, cylinders)
     pump: np.ndarray  # (5,)
     counts: Limits  # which limits count: others are kept by what is fixed
-
-
-class Point(NamedTuple):
-    """The variables."""
-
-    state: np.ndarray  # position, velocity; (stages + 1, 2)
-    control: np.ndarray  # (stages,)
-    local: np.ndarray  # supply pressure and flows of both ends, (stages, 2, 1 + cylinders)
 
 
 def graded(count):
@@ -284,26 +293,6 @@ def change_limits(program, point, jet, step, moved, change):
 
 
 @njit(cache=True, error_model="numpy")
-def add_limit(matrix, vector, by_c, by_w, by_u, other, by_other, weight, pull):
-    """Add a limit's condensed curvature, weight x its gradient squared, and its pull."""
-    vector[C] -= pull * by_c
-    vector[W] -= pull * by_w
-    vector[U] -= pull * by_u
-    vector[other] -= pull * by_other
-    matrix[C, C] += weight * by_c * by_c
-    matrix[W, C] += weight * by_w * by_c
-    matrix[W, W] += weight * by_w * by_w
-    matrix[U, C] += weight * by_u * by_c
-    matrix[U, W] += weight * by_u * by_w
-    matrix[U, U] += weight * by_u * by_u
-    if other > U:
-        matrix[other, C] += weight * by_other * by_c
-        matrix[other, W] += weight * by_other * by_w
-        matrix[other, U] += weight * by_other * by_u
-        matrix[other, other] += weight * by_other * by_other
-
-
-@njit(cache=True, error_model="numpy")
 def add_product(matrix, vector, share, one, other):
     """Add share x one x other, but for its parts' own curvature."""
     for x, d in ((C, DC), (W, DW), (U, DU)):
@@ -365,67 +354,136 @@ def add_cost(program, k, e, point, moved, matrix, vector, bends):
 
 
 @njit(cache=True, error_model="numpy")
-def assemble_end(program, k, e, point, jet, value, slack, multiplier, barrier, moved, bends, matrix, vector):
-    """Newton's matrix (lower triangle) and gradient of one end's condensed cost, by c, w, u, p and flows there."""
-    n = moved.shape[0]
-    vector[:], matrix[:], bends[:] = 0.0, 0.0, 0.0
-    move(program, k, e, point, jet, moved)
-    add_cost(program, k, e, point, moved, matrix, vector, bends)
-    counts, g, t, m = program.counts.end[k, e], value.end[k, e], slack.end[k, e], multiplier.end[k, e]
-    if counts[3 * n]:
-        j = 3 * n
-        add_limit(matrix, vector, 0.0, 0.0, 0.0, P, 1.0, m[j] / t[j], (barrier - m[j] * (g[j] - t[j])) / t[j])
-    for i in range(n):
-        v, a, f, alpha, beta = moved[i, V], moved[i, A], moved[i, F], program.mode[e, k, ALPHA, i], 0.0
-        for side, j in ((1.0, 2 * i), (-1.0, 2 * i + 1)):
-            if counts[j]:
-                bends[i, A] -= side * m[j]
-                pull = (barrier - m[j] * (g[j] - t[j])) / t[j]
-                add_limit(matrix, vector, side * a[DC], side * a[DW], side * a[DU], C, 0.0, m[j] / t[j], pull)
-        j = 2 * n + i
-        if counts[j]:
-            beta, alpha = program.mode[e, k, BETA, i], alpha if program.code == LS else 0.0
-            bends[i, F] += beta * m[j]
-            pull = (barrier - m[j] * (g[j] - t[j])) / t[j]
-            add_limit(matrix, vector, -beta * f[DC], -beta * f[DW], -beta * f[DU], P, alpha, m[j] / t[j], pull)
-        for area, j in (
-            (-program.cylinder[AREA_OUT, i], 3 * n + 1 + 2 * i),
-            (program.cylinder[AREA_IN, i], 3 * n + 2 + 2 * i),
-        ):
-            if counts[j]:
-                bends[i, V] -= area * m[j]
-                pull = (barrier - m[j] * (g[j] - t[j])) / t[j]
-                add_limit(matrix, vector, area * v[DC], area * v[DW], 0.0, S + i, 1.0, m[j] / t[j], pull)
-        for q in range(3):
-            share = bends[i, q]
-            matrix[C, C] += share * moved[i, q, DCC]
-            matrix[W, C] += share * moved[i, q, DCW]
-            matrix[W, W] += share * moved[i, q, DWW]
-            matrix[U, C] += share * moved[i, q, DCU]
-    if not counts[3 * n]:
-        matrix[P, P] = 1.0  # no variable of this cost
-    for i in range(n):
-        if not counts[3 * n + 1 + 2 * i]:
-            matrix[S + i, S + i] = 1.0
+def pull_of(value, slack, multiplier, barrier):
+    """What a limit's gradient is multiplied with in the condensed gradient, but for its sign."""
+    return (barrier - multiplier * (value - slack)) / slack
 
 
 @njit(cache=True, error_model="numpy")
-def assemble_node(program, k, point, jet, value, slack, multiplier, barrier, matrix, vector):
-    """Newton's matrix (lower triangle) and gradient of the limits of one node, by its position and velocity."""
-    w = point.state[k, 1]
-    counts, g, t, m = program.counts.node[k], value.node[k], slack.node[k], multiplier.node[k]
-    vector[C] = vector[W] = 0.0
-    matrix[C, C] = matrix[W, C] = matrix[W, W] = 0.0
-    for i in range(1 + program.table.shape[2]):
-        by_c, by_w, bend, mixed = 1.0, 0.0, 0.0, 0.0
-        if i > 0:
-            a = jet[k, i - 1]
-            by_c, by_w, bend, mixed = a[1, A0] + a[1, A1] * w, a[0, A1], a[2, A0] + a[2, A1] * w, a[1, A1]
-        for side, j in ((1.0, 2 * i), (-1.0, 2 * i + 1)):
+def assemble_ends(program, point, jet, value, slack, multiplier, barrier, moved, bends, matrices, vectors):
+    """Newton's matrices (lower triangles) and gradients of the ends' condensed costs, by c, w, u, p and flows there.
+
+    A limit adds multiplier / slack x its gradient squared, less its pull x gradient and multiplier x curvature.
+
+    Args:
+        program, point, jet: The problem, a point and the coefficients there.
+        value, slack, multiplier: Of the limits.
+        barrier: The barrier.
+        moved, bends: Room for one end's quantities and their slopes.
+        matrices: Out, (stages, 2, 4 + cylinders, 4 + cylinders).
+        vectors: Out, (stages, 2, 4 + cylinders).
+    """
+    n = moved.shape[0]
+    for k in range(point.control.size):
+        for e in range(2):
+            matrix, vector = matrices[k, e], vectors[k, e]
+            for x in range(vector.size):
+                vector[x] = 0.0
+                for y in range(x + 1):
+                    matrix[x, y] = 0.0
+            for i in range(n):
+                bends[i, V] = bends[i, A] = bends[i, F] = 0.0
+            move(program, k, e, point, jet, moved)
+            add_cost(program, k, e, point, moved, matrix, vector, bends)
+            counts, g, t, m = program.counts.end[k, e], value.end[k, e], slack.end[k, e], multiplier.end[k, e]
+            j = 3 * n
             if counts[j]:
-                weight, pull = m[j] / t[j], side * (barrier - m[j] * (g[j] - t[j])) / t[j]
-                vector[C] -= pull * by_c
-                vector[W] -= pull * by_w
-                matrix[C, C] += weight * by_c * by_c - side * m[j] * bend
-                matrix[W, C] += weight * by_c * by_w - side * m[j] * mixed
-                matrix[W, W] += weight * by_w * by_w
+                matrix[P, P] += m[j] / t[j]
+                vector[P] -= pull_of(g[j], t[j], m[j], barrier)
+            else:
+                matrix[P, P] = 1.0  # no variable of this cost
+            cc = wc = ww = uc = uw = uu = at_c = at_w = at_u = 0.0
+            for i in range(n):
+                v_c, v_w = moved[i, V, DC], moved[i, V, DW]
+                a_c, a_w, a_u = moved[i, A, DC], moved[i, A, DW], moved[i, A, DU]
+                f_c, f_w, f_u = moved[i, F, DC], moved[i, F, DW], moved[i, F, DU]
+                # Acceleration from below and above: the same gradient but for its sign.
+                j = 2 * i
+                if counts[j]:
+                    weight = m[j] / t[j] + m[j + 1] / t[j + 1]
+                    pull = pull_of(g[j], t[j], m[j], barrier) - pull_of(g[j + 1], t[j + 1], m[j + 1], barrier)
+                    bends[i, A] -= m[j] - m[j + 1]
+                    at_c, at_w, at_u = at_c - pull * a_c, at_w - pull * a_w, at_u - pull * a_u
+                    cc, wc, ww = cc + weight * a_c * a_c, wc + weight * a_w * a_c, ww + weight * a_w * a_w
+                    uc, uw, uu = uc + weight * a_u * a_c, uw + weight * a_u * a_w, uu + weight * a_u * a_u
+                # Load: alpha p - beta F.
+                j = 2 * n + i
+                if counts[j]:
+                    beta, alpha = (
+                        program.mode[e, k, BETA, i],
+                        program.mode[e, k, ALPHA, i] if program.code == LS else 0.0,
+                    )
+                    weight, pull = m[j] / t[j], pull_of(g[j], t[j], m[j], barrier)
+                    bends[i, F] += beta * m[j]
+                    vector[P] -= pull * alpha
+                    matrix[P, P] += weight * alpha * alpha
+                    mixed = weight * alpha * beta
+                    matrix[P, C] -= mixed * f_c
+                    matrix[P, W] -= mixed * f_w
+                    matrix[P, U] -= mixed * f_u
+                    weight, pull = weight * beta * beta, -pull * beta
+                    at_c, at_w, at_u = at_c - pull * f_c, at_w - pull * f_w, at_u - pull * f_u
+                    cc, wc, ww = cc + weight * f_c * f_c, wc + weight * f_w * f_c, ww + weight * f_w * f_w
+                    uc, uw, uu = uc + weight * f_u * f_c, uw + weight * f_u * f_w, uu + weight * f_u * f_u
+                # Flow: s - A v and s + B v.
+                j = 3 * n + 1 + 2 * i
+                if counts[j]:
+                    out, back = -program.cylinder[AREA_OUT, i], program.cylinder[AREA_IN, i]
+                    weight_out, weight_in = m[j] / t[j], m[j + 1] / t[j + 1]
+                    pull_out = pull_of(g[j], t[j], m[j], barrier)
+                    pull_in = pull_of(g[j + 1], t[j + 1], m[j + 1], barrier)
+                    bends[i, V] -= out * m[j] + back * m[j + 1]
+                    vector[S + i] -= pull_out + pull_in
+                    matrix[S + i, S + i] += weight_out + weight_in
+                    mixed = weight_out * out + weight_in * back
+                    matrix[S + i, C] += mixed * v_c
+                    matrix[S + i, W] += mixed * v_w
+                    weight, pull = weight_out * out * out + weight_in * back * back, pull_out * out + pull_in * back
+                    at_c, at_w = at_c - pull * v_c, at_w - pull * v_w
+                    cc, wc, ww = cc + weight * v_c * v_c, wc + weight * v_w * v_c, ww + weight * v_w * v_w
+                else:
+                    matrix[S + i, S + i] = 1.0
+                for q in range(3):
+                    share = bends[i, q]
+                    cc, wc = cc + share * moved[i, q, DCC], wc + share * moved[i, q, DCW]
+                    ww, uc = ww + share * moved[i, q, DWW], uc + share * moved[i, q, DCU]
+            vector[C] += at_c
+            vector[W] += at_w
+            vector[U] += at_u
+            matrix[C, C] += cc
+            matrix[W, C] += wc
+            matrix[W, W] += ww
+            matrix[U, C] += uc
+            matrix[U, W] += uw
+            matrix[U, U] += uu
+
+
+@njit(cache=True, error_model="numpy")
+def assemble_nodes(program, point, jet, value, slack, multiplier, barrier, matrices, vectors):
+    """Newton's matrices (lower triangles) and gradients of the limits of the nodes, by their position and velocity.
+
+    Args:
+        program, point, jet, value, slack, multiplier, barrier: As in `assemble_ends`.
+        matrices: Out, (stages + 1, 2, 2).
+        vectors: Out, (stages + 1, 2).
+    """
+    for k in range(point.control.size + 1):
+        w, matrix, vector = point.state[k, W], matrices[k], vectors[k]
+        counts, g, t, m = program.counts.node[k], value.node[k], slack.node[k], multiplier.node[k]
+        vector[C] = vector[W] = matrix[C, C] = matrix[W, C] = matrix[W, W] = 0.0
+        for i in range(1 + program.table.shape[2]):
+            j = 2 * i
+            if not counts[j]:
+                continue
+            by_c, by_w, bend, mixed = 1.0, 0.0, 0.0, 0.0
+            if i > 0:
+                here = jet[k, i - 1]
+                by_c, by_w, mixed = here[1, A0] + here[1, A1] * w, here[0, A1], here[1, A1]
+                bend = here[2, A0] + here[2, A1] * w
+            weight, lean = m[j] / t[j] + m[j + 1] / t[j + 1], m[j] - m[j + 1]
+            pull = pull_of(g[j], t[j], m[j], barrier) - pull_of(g[j + 1], t[j + 1], m[j + 1], barrier)
+            vector[C] -= pull * by_c
+            vector[W] -= pull * by_w
+            matrix[C, C] += weight * by_c * by_c - lean * bend
+            matrix[W, C] += weight * by_c * by_w - lean * mixed
+            matrix[W, W] += weight * by_w * by_w
