@@ -229,7 +229,7 @@ def solve(problem: Problem, grid: Grid, cost: str, terminal: Terminal | None = N
     c = last[kernels.C_LO] + last[kernels.DC] * np.arange(grid.positions)
     w = last[kernels.W_LO] + last[kernels.DW] * np.arange(grid.velocities)
     ends = steep[1] * np.abs(w) if terminal is None else terminal(c[:, None], w[None, :])
-    end = np.array(np.broadcast_to(ends, (grid.positions, grid.velocities)))
+    end = np.array(np.broadcast_to(ends, (grid.positions, grid.velocities)), order="C")
     values = np.empty((problem.stages + 1, grid.positions, grid.velocities), dtype=np.float32)
     problem_arrays = table.coefficients, table.outside, table.stage, table.cylinder, setting
     workers = min(stages.threads(), grid.positions * grid.velocities // WORTH_SHARING)
