@@ -37,13 +37,14 @@ METHODS = {
 PUMPS = ("ls", "cp")
 
 GRID = (141, 71)  # positions and velocities of the coarse program: denser ones end no lower on the bundled tasks
-# Tubes: nodes, and half widths as shares of stroke range and velocity limit; level n is 1 / 2^n as wide.
+# Tubes: nodes, and half widths in spacings of the coarse grid; level n is 1 / 2^n as wide.
 # The second where the motion follows an end of the feasible extensions that moves, the third once it is polished.
 TUBE, RIDING_TUBE, LAST_TUBE = (17, 33), (31, 33), (17, 17)
-TUBE_WIDTH, TUBE_SPREAD = 0.03, 0.12
-LAST_LEVELS, FINER_LEVELS = (2, 4), (2, 3)  # around the best motion of all, and on finer stages
+TUBE_WIDTH, TUBE_SPREAD = 4.2, 4.2
+FIRST_LEVELS, LAST_LEVELS, FINER_LEVELS = (0, 1), (2, 4), (2, 3)  # around coarse motions, the best, on finer stages
 REPEAT, TUBE_REPEATS = 1e-2, 2  # a tube is repeated while the judged cost falls by more than this share
 POLISHABLE = 1.3  # a motion that uses a limit up to this much too far is polished where it is cheaper
+NEAR = 1.3  # a pseudo-inverse of long steps within this factor of the best is made again with short ones
 MOVING, TOUCHING = 1e-3, 1e-4  # a limit that moves [m/s], and a motion on it [m]
 FINER = 5e-4  # stages are halved while that gains more than this share
 REPAIRABLE, ROOM = 1.05, 0.9995  # limits used up to this much too far are polished again, to below this share
@@ -227,34 +228,33 @@ class _Run:
         problem = stages.discretise(self.task, self.step)
         start = dp.start_position(problem, self.task.start)
         low, high = stages.stroke_range(self.task)
-        width, spread = TUBE_WIDTH * (high - low), TUBE_SPREAD * problem.crane.machine.redundant.velocity_limit
-        for basin, (cost, share, levels) in enumerate(self.basins()):
-            self.tell(f"coarse dynamic program {basin + 1}", 0.05 + 0.35 * basin)
+        width = TUBE_WIDTH * (high - low) / (self.grid[0] - 1)
+        spread = TUBE_SPREAD * 2.0 * problem.crane.machine.redundant.velocity_limit / (self.grid[1] - 1)
+        # LS has several valleys: a second grid, half as fine, at times finds a better one.
+        for share in (1, 2) if self.cost == "ls" else (1,):
+            self.tell(f"coarse dynamic program {share}", 0.35 * share - 0.3)
             grid = stages.full_grid(problem, *(max(3, size // share) for size in self.grid))
-            coarse = dp.solve(problem, grid, cost)
+            coarse = dp.solve(problem, grid, self.cost)
             first = dp.best_start(coarse) if start is None else start
-            name = f"coarse {grid.positions}x{grid.velocities} for {cost}"
-            seed = self.judge(dp.rollout(coarse, first), name)
+            seed = self.judge(dp.rollout(coarse, first), f"coarse {grid.positions}x{grid.velocities}")
             del coarse
-            self.refine(problem, seed, start, width, spread, levels, rounds=1)
+            self.refine(problem, seed, start, width, spread, FIRST_LEVELS, rounds=1)
         assert self.best is not None
         loads, rides = self.cost in ("ls", "actuator"), self.rides_on_a_limit(problem)
-        if rides or self.cost == "actuator":
-            # The pseudo-inverse at times lies in a better valley, or leads along a limit where tubes do not.
-            other = self.baseline(float(self.best.motion.position[0]) if start is None else start, self.step)
-            if other is not None:
-                self.polish(problem, other, start is None)
+        other = self.baseline(float(self.best.motion.position[0]) if start is None else start, self.step)
+        if other is not None and (rides or self.cost == "actuator"):
+            self.polish(problem, other, start is None)  # at times from a better valley, or along a moving limit
         # Look around what the polish found: it has moved on from where its modes came from. Without loads there are no
         # modes, so one tube tells whether there is anything to find.
         self.refine(problem, self.best, start, width, spread, LAST_LEVELS if loads else LAST_LEVELS[:1])
         if rides or self.rides_on_a_limit(problem):
             self.finer_stages(start, width, spread)
-        if not self.best.feasible:
+        if other is None or judged_cost(other, self.cost) < NEAR * judged_cost(self.best, self.cost):
             other = self.baseline(float(self.best.motion.position[0]) if start is None else start)
-            if other is not None and beats(other, self.best, self.cost):
-                self.best = other
-                self.note(f"the pseudo-inverse is better: {judged_cost(other, self.cost):.4g}; refining from it")
-                self.polish(problem, other, False)
+        if other is not None and beats(other, self.best, self.cost):
+            self.best = other
+            self.note(f"the pseudo-inverse is better: {judged_cost(other, self.cost):.4g}; refining from it")
+            self.polish(problem, other, False)
         return self.best
 
     def rides_on_a_limit(self, problem: Problem) -> bool:
@@ -280,13 +280,6 @@ class _Run:
             if before.feasible and not gained:
                 break
         self.polisher = None
-
-    def basins(self) -> list[tuple[str, int, tuple[int, ...]]]:
-        """Coarse programs whose motions are refined: cost, how many times coarser than the grid, levels of tubes.
-
-        LS has several valleys. The flow-optimal one is cheap to find and at times leads to the better of them.
-        """
-        return [(self.cost, 1, (0, 1)), ("cp", 2, (0,))] if self.cost == "ls" else [(self.cost, 1, (0, 1))]
 
     def refine(
         self, problem: Problem, seed: Evaluation, start: float | None, width: float, spread: float,
