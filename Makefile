@@ -5,7 +5,7 @@ BIN := .venv/bin
 LOCKED := .venv/.locked
 READY := .venv/.ready
 PIP := $(BIN)/python -m pip -qq --disable-pip-version-check --no-input
-KERNEL_TESTS := $(wildcard tests/test_kernels.py)
+KERNEL_TESTS := tests/test_kernels.py tests/test_interior_point.py
 
 # The lock is the only source of versions; no tool looks for newer ones.
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
@@ -39,9 +39,7 @@ demo: $(READY) ## Plan the half-cycle of a forwarder crane and write its report 
 	@echo "Open demo/report.html in a browser."
 
 test: lint ## Run all checks and tests
-ifneq ($(KERNEL_TESTS),)
-	@NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -q $(KERNEL_TESTS)
-endif
+	@NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -q --numprocesses 2 --dist loadfile $(KERNEL_TESTS)
 	@$(BIN)/python -m pytest -q --numprocesses 2 --dist worksteal
 
 lint: $(READY) ## Check format, style, types and layers

@@ -61,7 +61,8 @@ def start_up() -> None:
     tool = [os.path.join(os.path.dirname(sys.executable), "leanboom")]
     seconds = sorted(timed([*tool, "--help"])[0] for _ in range(5))
     print(f"leanboom --help: {seconds[2]:.2f} s (median of 5, {seconds[0]:.2f} to {seconds[-1]:.2f})")
-    code = "import time; t = time.perf_counter(); from leanboom import dp; dp.prepare(); print(time.perf_counter() - t)"
+    code = "import time; t = time.perf_counter(); from leanboom import dp, polish; dp.prepare(); polish.prepare()"
+    code += "; print(time.perf_counter() - t)"
     with tempfile.TemporaryDirectory() as folder:
         cold = float(timed([sys.executable, "-c", code], {"NUMBA_CACHE_DIR": folder})[1])
         warm = float(timed([sys.executable, "-c", code], {"NUMBA_CACHE_DIR": folder})[1])

@@ -43,7 +43,7 @@ def module(name: str) -> Solve:
 
 
 PEERS = {
-    "dp": Peer("leanboom: dynamic programming, tubes, polish", planned_by("dp"), ("casadi",)),
+    "dp": Peer("leanboom: dynamic programming, tubes, polish", planned_by("dp")),
     "dp-paper": Peer("Algorithm 1 of the 4-DOF paper to the letter", planned_by("dp-paper")),
     "pseudospectral": Peer("CasADi + IPOPT collocation, bootstrapped", planned_by("pseudospectral"), ("casadi",)),
     "adaptive-mesh": Peer("maptor: adaptive pseudospectral mesh", module("adaptive_mesh"), ("casadi", "maptor")),
