@@ -197,14 +197,9 @@ def velocity_line(crane: cranes.Crane, plane: cranes.Plane, stroke) -> Line:
     rest = 0.0 * stroke  # of the shape of all other values
     with np.errstate(divide="ignore", invalid="ignore"):
         still, forth = cranes.move(pose, rest, rest), cranes.move(pose, rest + 1.0, rest)
-    joint0, cylinder0 = np.array(still.joint_velocity).T, np.array(still.velocity).T
-    return Line(
-        joint0,
-        np.array(forth.joint_velocity).T - joint0,
-        cylinder0,
-        np.array(forth.velocity).T - cylinder0,
-        np.array([length for length, _, _ in pose.cylinders]).T,
-    )
+        joint0, cylinder0 = np.array(still.joint_velocity).T, np.array(still.velocity).T
+        joint1, cylinder1 = np.array(forth.joint_velocity).T - joint0, np.array(forth.velocity).T - cylinder0
+    return Line(joint0, joint1, cylinder0, cylinder1, np.array([length for length, _, _ in pose.cylinders]).T)
 
 
 def least_velocity(line: Line, variant: str, area_out: np.ndarray, area_in: np.ndarray) -> float:
