@@ -35,6 +35,7 @@ from leanboom.program import (
     empty_point,
     evaluate,
     jets,
+    pull_of,
 )  # fmt: skip
 
 BOUNDARY = 0.995  # share of the way to the nearest limit that a step may go
@@ -194,7 +195,7 @@ def step_limits(value, slack, multiplier, change, counts, barrier, slack_step, t
         if counts[j]:
             slack_step[j] = change[j] + value[j] - slack[j]
             turn[j] = (barrier - multiplier[j] * (slack[j] + slack_step[j])) / slack[j]
-            slope += (barrier - multiplier[j] * (value[j] - slack[j])) / slack[j] * change[j]
+            slope += pull_of(value[j], slack[j], multiplier[j], barrier) * change[j]
     return slope
 
 

@@ -31,7 +31,7 @@ from leanboom.objective import COSTS
 from leanboom.shaft import shaft_of
 from leanboom.stages import HELD, Problem, prescribed
 
-LITRE, MEGA, MILLI = 1e3, 1e-6, 1e-3  # flow in l/s, pressure in MPa, power in kW
+LITRE, MEGA = 1e3, 1e-6  # flow in l/s, pressure in MPa: their product is kW
 FORCE = 1e-5  # scale of the rows that keep a load's sign [1/N]
 FRICTION_STEPS = 4096
 POSITIONS = 65  # nodes of the coefficients' table
@@ -148,7 +148,7 @@ def solve(
     mode = _mode_parameters(polisher, switches)
     stated = _program(polisher, seed, switches, mode, free_start, share)
     guess = _guess(polisher, seed, switches, mode)
-    unit = MILLI * dp.energy_scale(problem, polisher.cost)
+    unit = program.MILLI * dp.energy_scale(problem, polisher.cost)
     answer, solved, count = interior_point.minimise(stated, guess, BARRIER * unit, LAST_BARRIER * unit, ITERATIONS)
     text = f"{'solved' if solved else 'not solved'} in {count} iterations"
     if not solved:
