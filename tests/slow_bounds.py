@@ -62,7 +62,10 @@ def least_energy(problem: Problem, pump: str, start: float, count: int) -> tuple
 
 
 def least_in_cell(found: cells.Bounds, pump: str, k: int, p: int, r: int, count: int) -> float:
-    """Least of stage cost plus bound at the next state less rise of the cell's plane [J], over sampled motions."""
+    """Least of stage cost plus bound at the next state less rise of the cell's plane [J], over sampled motions.
+
+    From states within the row's velocity bounds: the others can keep no limit further on.
+    """
     held, problem = found.cells, found.cells.problem
     c_lo, dc, w_lo, dw, i, j = held.lattice[k]
     share = np.linspace(-0.5, 0.5, count)
@@ -71,7 +74,14 @@ def least_in_cell(found: cells.Bounds, pump: str, k: int, p: int, r: int, count:
     c, w = c_lo + (i + p + 0.5) * dc + dx, w_lo + (j + r + 0.5) * dw + dy
     cost, used = rates(problem, pump, k, c, w, u)
     next_c, next_w = c + problem.step * (w + 0.5 * problem.step * u), w + problem.step * u
-    inside = (used <= 1.0) & (next_c >= problem.lower[k + 1]) & (next_c <= problem.upper[k + 1])
+    slowest, fastest = held.columns[k][p]
+    inside = (
+        (used <= 1.0)
+        & (w >= slowest)
+        & (w <= fastest)
+        & (next_c >= problem.lower[k + 1])
+        & (next_c <= problem.upper[k + 1])
+    )
     plane = found.planes[k][p, r]
     least = np.inf
     for x, y, here, rise in zip(

@@ -100,21 +100,12 @@ def column_velocities(coefficients, cylinder, low, high):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def cell_motion(coefficients, cylinder, setting, w, half, motion):
-    """Velocities, loads and admissible accelerations over a cell; `motion` is filled row by row.
-
-    Returns:
-        Bounds of the accelerations of the redundant cylinder that some state of the cell admits [m/s^2].
-    """
+def cell_accelerations(coefficients, cylinder, w, half):
+    """Bounds of the accelerations of the redundant cylinder that some state of a cell admits [m/s^2]."""
     lo, hi = -np.inf, np.inf
     top = abs(w) + half
-    pressures = int(setting[COST]) == LS
     for m in range(coefficients.shape[0]):
         row = coefficients[m]
-        motion[m, V_M] = row[A0, 0] + row[A1, 0] * w
-        motion[m, V_T] = row[A0, 1] + row[A1, 1] * w
-        motion[m, V_X] = row[A1, 0]
-        motion[m, V_E] = row[A0, 2] + row[A1, 2] * top + abs(row[A1, 1]) * half
         # |b0 + b1 w + b2 w^2 + b3 u| <= limit for some state of the cell.
         b = row[B0, 0] + w * (row[B1, 0] + w * row[B2, 0])
         spread = abs(row[B0, 1] + w * (row[B1, 1] + w * row[B2, 1]))
@@ -130,6 +121,24 @@ def cell_motion(coefficients, cylinder, setting, w, half, motion):
         if small > 0.0:
             hi = min(hi, most / (small if most > 0.0 else large))
             lo = max(lo, least / (small if least < 0.0 else large))
+    return lo, hi
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def cell_motion(coefficients, cylinder, setting, w, half, motion):
+    """Velocities, loads and admissible accelerations over a cell; `motion` is filled row by row.
+
+    Returns:
+        Bounds of the accelerations of the redundant cylinder that some state of the cell admits [m/s^2].
+    """
+    top = abs(w) + half
+    pressures = int(setting[COST]) == LS
+    for m in range(coefficients.shape[0]):
+        row = coefficients[m]
+        motion[m, V_M] = row[A0, 0] + row[A1, 0] * w
+        motion[m, V_T] = row[A0, 1] + row[A1, 1] * w
+        motion[m, V_X] = row[A1, 0]
+        motion[m, V_E] = row[A0, 2] + row[A1, 2] * top + abs(row[A1, 1]) * half
         # Which way the cylinder moves, and whether it surely counts as driven.
         reach = abs(motion[m, V_T]) + abs(motion[m, V_X]) * half + motion[m, V_E]
         slow, fast = motion[m, V_M] - reach, motion[m, V_M] + reach
@@ -166,7 +175,7 @@ def cell_motion(coefficients, cylinder, setting, w, half, motion):
         if side < 0.0:
             for column in (P_M, P_T, P_X, P_U, P_UT):
                 motion[m, column] = -motion[m, column]
-    return lo, hi
+    return cell_accelerations(coefficients, cylinder, w, half)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -460,6 +469,11 @@ def cells(  # noqa: PLR0913
                             for v in range(FORM):
                                 supply[v] = forms[chosen, v]
                             floor = ahead[row, column, 3]
+                            if level - 0.5 * (abs(slope_c) * next_dc + abs(slope_w) * next_dw) < floor:
+                                # The cost to go is not below the floor either: any mean of plane and floor will do.
+                                direction[0] = floor - (g0 - cost_m)
+                                direction[1], direction[2], direction[3] = -slope_c * half_c, -lean, -lean - slope_w
+                                ascend(form, direction, 0.0, 1.0, box)
                             # Only where the next position is in its cell.
                             if kind != MIDDLE and edge - low_end(drift, half_c, step, box) > 0.0:
                                 direction[0], direction[1] = edge - ON_LIMIT - drift, -half_c
@@ -469,11 +483,6 @@ def cells(  # noqa: PLR0913
                                 direction[0], direction[1] = drift - edge - next_dc - ON_LIMIT, half_c
                                 direction[2] = direction[3] = 0.5 * step
                                 ascend(form, direction, 0.0, np.inf, box)
-                            if level - 0.5 * (abs(slope_c) * next_dc + abs(slope_w) * next_dw) < floor:
-                                # The cost to go is not below the floor either: any mean of plane and floor will do.
-                                direction[0] = floor - (g0 - cost_m)
-                                direction[1], direction[2], direction[3] = -slope_c * half_c, -lean, -lean - slope_w
-                                ascend(form, direction, 0.0, 1.0, box)
                             value = sharpen(
                                 form, count, chosen, forms, supply, f0, ft, fx, sigma, motion, cylinder, rate, turn,
                                 box, direction,

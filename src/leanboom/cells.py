@@ -14,17 +14,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leanboom import bounds, enclosure, kernels, stages
+from leanboom import bounds, enclosure, kernels, stages, viability
 from leanboom import crane as cranes
 from leanboom.enclosure import Enclosure
 from leanboom.motion import Motion
 from leanboom.stages import Problem
+from leanboom.viability import Viable
 
 POSITION = 0.006  # [m], largest width of a cell of the first level
 VELOCITY = 0.01  # [m/s], largest height of a cell of the first level
 UNKNOWN = 1e30  # error of a coefficient that cannot be enclosed over a cell
 SHARES = 8  # parts a thread takes of a stage: rows differ in work
 AT_REST = 1e-6  # [m/s], velocity below which a motion ends at rest
+Guide = Callable[[int, np.ndarray, tuple[int, int]], tuple[np.ndarray, np.ndarray]]  # as `guide.Guide.slopes`
 BENT = 0.25  # a plane that loses more than this share of what it rises over its cell is tried again, level
 
 
@@ -43,6 +45,7 @@ class Cells:
     fixed: np.ndarray  # pump flow [m^3/s] and pressure [Pa] of prescribed cylinders, (stages + 1, 2)
     cylinder: np.ndarray  # (moving, kernels.CYLINDER_COLUMNS)
     setting: np.ndarray  # (kernels.SETTINGS,)
+    viable: Viable  # velocities from which motions can go on within the limits
 
     @property
     def count(self) -> int:
@@ -76,11 +79,16 @@ def whole(problem: Problem, cost: str) -> Cells:
     positions = max(2, int(np.ceil(np.max(problem.upper - problem.lower) / POSITION)))
     velocities = 2 * int(np.ceil(limit / VELOCITY))
     active = tuple(np.zeros((positions, velocities)) for _ in range(problem.stages))
-    return _cut(problem, cost, positions, velocities, active, np.zeros((problem.stages, 2), dtype=int))
+    return _cut(problem, cost, positions, velocities, active, np.zeros((problem.stages, 2), dtype=int), None)
 
 
-def _cut(problem: Problem, cost: str, positions: int, velocities: int, active, corner: np.ndarray) -> Cells:
-    """Cells of a resolution; `corner` is the first row and column of each stage's window, (stages, 2)."""
+def _cut(  # noqa: PLR0913
+    problem: Problem, cost: str, positions: int, velocities: int, active, corner: np.ndarray, viable: Viable | None
+) -> Cells:
+    """Cells of a resolution; `corner` is the first row and column of each stage's window, (stages, 2).
+
+    Viable velocities are looked for, where none are given, on windows that are whole stages.
+    """
     limit = problem.crane.machine.redundant.velocity_limit
     n = problem.stages
     lattice = np.zeros((n + 1, bounds.LATTICE))
@@ -96,12 +104,18 @@ def _cut(problem: Problem, cost: str, positions: int, velocities: int, active, c
     columns = [np.tile([-limit, limit], (a.shape[0], 1)) for a in active]
     for rows, stage in zip(columns, model, strict=True):
         bounds.velocity_columns(stage, cylinder, rows)
+    viable = viable or viability.find(lattice, model, columns, cylinder, problem.step)
+    for k, rows in enumerate(columns):
+        first = (corner[k, 0] + np.arange(len(rows))) / positions
+        low, high = viable.within(k, first, first + 1.0 / positions)
+        rows[:, 0], rows[:, 1] = np.maximum(rows[:, 0], low), np.minimum(rows[:, 1], high)
     columns.append(np.zeros((positions, 2)))  # the end: at rest
     flow, pressure, _ = stages.prescribed(problem, cost)
     fixed = np.stack([flow, pressure], axis=1)
     return Cells(
-        problem, cost, positions, velocities, lattice, tuple(active), model, tuple(columns), fixed, cylinder, setting
-    )
+        problem, cost, positions, velocities, lattice, tuple(active), model, tuple(columns), fixed, cylinder, setting,
+        viable,
+    )  # fmt: skip
 
 
 def enclosures(problem: Problem, lattice: np.ndarray, rows: list[int]) -> tuple[np.ndarray, ...]:
@@ -140,13 +154,14 @@ def enclosures(problem: Problem, lattice: np.ndarray, rows: list[int]) -> tuple[
     return tuple(np.split(out, np.cumsum(rows)[:-1]))
 
 
-def bound(cells: Cells, start: float | None, check: Callable[[float], None]) -> Bounds:
+def bound(cells: Cells, start: float | None, check: Callable[[float], None], guide: Guide | None = None) -> Bounds:
     """The backward pass: planes below the cost to go over all cells.
 
     Args:
         cells: The cells; motions that leave them are not bounded.
         start: Start of the redundant cylinder [m], at rest; None: anywhere feasible.
         check: Called with the share done before every stage; raises to end the pass.
+        guide: Gives the slopes of the planes of a stage's cells; None: differences of the bounds themselves.
 
     Returns:
         The bounds.
@@ -156,27 +171,41 @@ def bound(cells: Cells, start: float | None, check: Callable[[float], None]) -> 
     with _Pool(cells) as pool:
         for k in range(n - 1, -1, -1):
             check(1.0 - (k + 1) / n)
-            active = cells.active[k]
-            here = np.zeros((*active.shape, 4))
-            middle, level = np.full(active.shape, np.inf), np.full(active.shape, np.inf)
-            pool.run(bounds.MIDDLE, k, 0.0, active, here, planes[k + 1], [middle])
-            here[..., 1] = slopes(middle, 0) / cells.lattice[k, bounds.L_DC]
-            here[..., 2] = slopes(middle, 1) / cells.lattice[k, bounds.L_DW]
-            pool.run(bounds.PLANE, k, 0.0, active, here, planes[k + 1], [level])
-            rise = np.abs(here[..., 1]) * cells.lattice[k, bounds.L_DC]
-            rise += np.abs(here[..., 2]) * cells.lattice[k, bounds.L_DW]
-            with np.errstate(invalid="ignore"):
-                bent = np.isfinite(level) & ~(middle - level <= BENT * rise)
-            if bent.any():
-                flat = np.full(active.shape, np.inf)
-                pool.run(bounds.PLANE, k, 0.0, np.where(bent, 0.0, np.inf), np.zeros_like(here), planes[k + 1], [flat])
-                here[..., 3] = np.where(bent, np.maximum(flat, 0.0), 0.0)
-                better = bent & (flat > level)
-                here[better, 1:3] = 0.0
-                level = np.where(better, flat, level)
-            here[..., 0] = level
-            planes[k] = here
+            planes[k] = _planes(pool, k, planes[k + 1]) if guide is None else _guided(pool, k, planes[k + 1], guide)
     return Bounds(cells, tuple(planes), _at_start(cells, planes[0], start))
+
+
+def _planes(pool: _Pool, k: int, ahead: np.ndarray) -> np.ndarray:
+    """Planes of a stage whose slopes are differences of the bounds at the cells' middles, level beside cliffs."""
+    cells, active = pool.cells, pool.cells.active[k]
+    here = np.zeros((*active.shape, 4))
+    middle = pool.run(bounds.MIDDLE, k, active, here, ahead)
+    here[..., 1] = slopes(middle, 0) / cells.lattice[k, bounds.L_DC]
+    here[..., 2] = slopes(middle, 1) / cells.lattice[k, bounds.L_DW]
+    level = pool.run(bounds.PLANE, k, active, here, ahead)
+    rise = np.abs(here[..., 1]) * cells.lattice[k, bounds.L_DC] + np.abs(here[..., 2]) * cells.lattice[k, bounds.L_DW]
+    with np.errstate(invalid="ignore"):
+        bent = np.isfinite(level) & ~(middle - level <= BENT * rise)
+    if bent.any():
+        flat = pool.run(bounds.PLANE, k, np.where(bent, 0.0, np.inf), np.zeros_like(here), ahead)
+        here[..., 3] = np.where(bent, np.maximum(flat, 0.0), 0.0)
+        better = bent & (flat > level)
+        here[better, 1:3] = 0.0
+        level = np.where(better, flat, level)
+    here[..., 0] = level
+    return here
+
+
+def _guided(pool: _Pool, k: int, ahead: np.ndarray, guide: Guide) -> np.ndarray:
+    """Planes of a stage with the slopes of a guide, and a floor to each."""
+    cells, active = pool.cells, pool.cells.active[k]
+    here = np.zeros((*active.shape, 4))
+    here[..., 1], here[..., 2] = guide(k, cells.lattice[k], active.shape)
+    here[..., 0] = pool.run(bounds.PLANE, k, active, here, ahead)
+    reached = np.isfinite(here[..., 0])
+    flat = pool.run(bounds.PLANE, k, np.where(reached, 0.0, np.inf), np.zeros_like(here), ahead)
+    here[..., 3] = np.where(reached, np.maximum(flat, 0.0), 0.0)
+    return here
 
 
 def slopes(values: np.ndarray, axis: int) -> np.ndarray:
@@ -246,7 +275,7 @@ def reach(found: Bounds, limit: float, check: Callable[[float], None]) -> tuple[
         for k in range(cells.problem.stages - 1):
             check((k + 1) / cells.problem.stages)
             parts = [np.full(cells.active[k + 1].shape, np.inf) for _ in range(pool.workers)]
-            pool.run(bounds.FORWARD, k, room, excess[-1], found.planes[k], found.planes[k + 1], parts)
+            pool.share(bounds.FORWARD, k, room, excess[-1], found.planes[k], found.planes[k + 1], parts)
             excess.append(np.minimum.reduce(parts))
     return tuple(excess)
 
@@ -262,7 +291,9 @@ def refine(cells: Cells, excess: tuple[np.ndarray, ...]) -> Cells | None:
         kept = kept[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         corner[k] = 2 * (cells.lattice[k, bounds.L_I :].astype(int) + (rows[0], columns[0]))
         active.append(np.where(kept.repeat(2, axis=0).repeat(2, axis=1), 0.0, np.inf))
-    return _cut(cells.problem, cells.cost, 2 * cells.positions, 2 * cells.velocities, tuple(active), corner)
+    return _cut(
+        cells.problem, cells.cost, 2 * cells.positions, 2 * cells.velocities, tuple(active), corner, cells.viable
+    )
 
 
 def memory(cells: Cells, excess: tuple[np.ndarray, ...]) -> float:
@@ -332,7 +363,13 @@ class _Pool:
     def __exit__(self, *_: object) -> None:
         self.pool.shutdown()
 
-    def run(self, kind: int, k: int, limit: float, active, planes, ahead, found: list[np.ndarray]) -> None:
+    def run(self, kind: int, k: int, active, planes, ahead) -> np.ndarray:
+        """Values of the cells of stage k by a backward pass of a kind, inf where there are none."""
+        found = np.full(active.shape, np.inf)
+        self.share(kind, k, 0.0, active, planes, ahead, [found])
+        return found
+
+    def share(self, kind: int, k: int, limit: float, active, planes, ahead, found: list[np.ndarray]) -> None:
         """One pass over stage k; forward passes write into one array a thread, others into one for all."""
         cells = self.cells
         parts = len(found) if kind == bounds.FORWARD else min(SHARES * self.workers, active.shape[0])

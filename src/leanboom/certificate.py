@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leanboom import cells, dp, incumbent, planner, stages
+from leanboom import cells, dp, guide, incumbent, planner, stages
 from leanboom.errors import InfeasibleError, InputError, LeanboomError
 from leanboom.incumbent import Measured
 from leanboom.motion import Motion
@@ -164,11 +164,17 @@ def _bound(
     lower = 0.0
     tell("enclosing the crane's motion over cells", 0.05)
     kept: cells.Cells | None = cells.whole(problem, pump)
+    chosen: cells.Guide | None = None
     while kept is not None:
         name = f"cells {kept.positions}x{kept.velocities}, gap so far {_gap(best.energy, lower):.2f} %"
         clock = _clock(began, seconds, name, tell)
         try:
-            found = cells.bound(kept, start, clock)
+            found = cells.bound(kept, start, clock, chosen)
+            if not levels and pump == "cp" and _at_an_end(problem, best.motion):
+                known = guide.make(problem, pump, kept.viable)
+                guided = cells.bound(kept, start, clock, known.slopes)
+                if guided.lower > found.lower:
+                    found, chosen = guided, known.slopes
             if not np.isfinite(found.lower) and not levels:
                 raise InfeasibleError("proven: no motion of the discretised problem keeps every limit")
             _check_along(found, best)
@@ -190,6 +196,12 @@ def _bound(
     last = levels[-1]
     levels.append(Level(2 * last.positions, 2 * last.velocities, 0, lower, _gap(best.energy, lower), gone))
     return tuple(levels), "gap reached"
+
+
+def _at_an_end(problem: Problem, motion: Motion) -> bool:
+    """Whether a motion comes within a cell of an end of the feasible extensions, where a guide may help."""
+    room = np.minimum(motion.position - problem.lower, problem.upper - motion.position)
+    return bool(room.min() < cells.POSITION)
 
 
 def _clock(began: float, seconds: float, name: str, tell: Progress) -> Callable[[float], None]:
