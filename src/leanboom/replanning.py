@@ -21,11 +21,12 @@ from leanboom.objective import COSTS
 from leanboom.stages import Problem
 from leanboom.task import Task
 
-TUBE = (25, 21)  # nodes of a tube
+TUBE = (13, 21)  # nodes of a tube; few positions do, as the tube is narrow
 WIDTH, SPREAD = 0.03, 0.12  # first half widths of a tube, of the stroke range and of the velocity limit
 SETTLE = 1.0  # time in which a disturbed motion is led back to the planned one [s]
 REACH = 1e-3  # [m], how far off the feasible extensions a state may be
 STEP = 0.1  # [s]
+COARSE = 2.0  # stages of the coarse program are longer by this
 STEPS = (0.01, 1.0)  # stages that make sense [s]
 
 
@@ -78,7 +79,7 @@ def replan(
     *,
     pump: str = "ls",
     around: Motion | Continuation | None = None,
-    grid: tuple[int, int] = (61, 41),
+    grid: tuple[int, int] = (51, 41),
     step: float = STEP,
 ) -> Continuation:
     """Plan the rest of a task from any state on the way.
@@ -102,19 +103,29 @@ def replan(
     """
     _check(task, time, position, velocity, pump, grid, step)
     try:
-        problem = stages.discretise(continuation.rest(task, time), min(step, 0.5 * (task.duration - time)))
+        rest = continuation.rest(task, time)
+        problem = stages.discretise(rest, min(step, 0.5 * rest.duration))
+        _check_position(problem, time, position)
+        search = Search(problem, pump, position, velocity)
+        if around is None:
+            seed = _coarse(rest, search, min(COARSE * step, 0.5 * rest.duration), grid)
+        else:
+            seed = track(search, around, time)
     except InfeasibleError as error:  # the path leads where the tool cannot go
         return continuation.safest_stop(task, time, position, velocity, str(error))
-    _check_position(problem, time, position)
-    search = Search(problem, pump, position, velocity)
-    if around is None:
-        coarse = search.solve(stages.full_grid(problem, *grid))
-        best = search.refine(coarse, (1.0,))
-    else:
-        best = search.refine(evaluate(problem.task, track(search, around, time)), (1.0,))
+    best = search.tube(seed, 1.0)
+    if around is not None or not best.feasible:
+        best = min(best, evaluate(rest, seed), key=search.score)
     if not best.feasible:
         return continuation.safest_stop(task, time, position, velocity, best.status)
     return Continuation(problem.task, time, best.motion, best, stopping=False)
+
+
+def _coarse(rest: Task, search: Search, step: float, grid: tuple[int, int]) -> Motion:
+    """The motion of a coarse program over all feasible extensions, on the stages of the search."""
+    problem = stages.discretise(rest, step)
+    policy = dp.solve(problem, stages.full_grid(problem, *grid), search.cost)
+    return stages.on_stages(search.problem, dp.rollout(policy, search.position, velocity=search.velocity))
 
 
 def track(search: Search, around: Motion | Continuation, since: float) -> Motion:
