@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import slow_bounds
-from leanboom import bounds, cells, guide, incumbent, kernels, load_task, stages, viability
+from leanboom import bounds, cells, certify, guide, incumbent, kernels, load_task, stages, viability
 from leanboom.task import Lines
 
 STEP, PUSH, LENGTH = 0.1, 0.5, 0.2  # of the sled [s], [m/s^2], [m]
@@ -137,3 +137,19 @@ def test_slopes_are_the_policys_where_no_state_is_lost_and_the_nearest_elsewhere
     apart = guide.MARGIN * (grid.c_hi[k] - grid.c_lo[k]) / (grid.positions - 1)
     first = int(np.ceil(apart / width - 1e-9))
     assert along_c[0, shape[1] // 2] == along_c[first, shape[1] // 2] != along_c[first + 1, shape[1] // 2]
+
+
+@pytest.mark.parametrize(
+    ("start", "pump", "guided"), [("smallest", "cp", True), ("smallest", "ls", False), ("middle", "cp", False)]
+)
+def test_a_guide_is_asked_where_the_motion_comes_to_an_end_of_the_stroke(monkeypatch, start, pump, guided):
+    plain, asked = cells.bound, []
+
+    def watched(kept, begin, clock, given=None):
+        asked.append(given)
+        return plain(kept, begin, clock, given)
+
+    monkeypatch.setattr(cells, "bound", watched)
+    proof = certify(load_task("forwarder-vertical", start=start), pump, step=0.1, gap=60.0)
+    assert any(given is not None for given in asked) == guided
+    assert 0.0 < proof.lower_bound_j <= proof.energy_j

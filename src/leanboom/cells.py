@@ -26,7 +26,7 @@ VELOCITY = 0.01  # [m/s], largest height of a cell of the first level
 UNKNOWN = 1e30  # error of a coefficient that cannot be enclosed over a cell
 SHARES = 8  # parts a thread takes of a stage: rows differ in work
 AT_REST = 1e-6  # [m/s], velocity below which a motion ends at rest
-Guide = Callable[[int, np.ndarray, tuple[int, int]], tuple[np.ndarray, np.ndarray]]  # as `guide.Guide.slopes`
+GivenSlopes = Callable[[int, np.ndarray, tuple[int, int]], tuple[np.ndarray, np.ndarray]]  # as `guide.Guide.slopes`
 BENT = 0.25  # a plane that loses more than this share of what it rises over its cell is tried again, level
 
 
@@ -154,7 +154,9 @@ def enclosures(problem: Problem, lattice: np.ndarray, rows: list[int]) -> tuple[
     return tuple(np.split(out, np.cumsum(rows)[:-1]))
 
 
-def bound(cells: Cells, start: float | None, check: Callable[[float], None], guide: Guide | None = None) -> Bounds:
+def bound(
+    cells: Cells, start: float | None, check: Callable[[float], None], guide: GivenSlopes | None = None
+) -> Bounds:
     """The backward pass: planes below the cost to go over all cells.
 
     Args:
@@ -196,7 +198,7 @@ def _planes(pool: _Pool, k: int, ahead: np.ndarray) -> np.ndarray:
     return here
 
 
-def _guided(pool: _Pool, k: int, ahead: np.ndarray, guide: Guide) -> np.ndarray:
+def _guided(pool: _Pool, k: int, ahead: np.ndarray, guide: GivenSlopes) -> np.ndarray:
     """Planes of a stage with the slopes of a guide, and a floor to each."""
     cells, active = pool.cells, pool.cells.active[k]
     here = np.zeros((*active.shape, 4))

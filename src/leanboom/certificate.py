@@ -164,7 +164,7 @@ def _bound(
     lower = 0.0
     tell("enclosing the crane's motion over cells", 0.05)
     kept: cells.Cells | None = cells.whole(problem, pump)
-    chosen: cells.Guide | None = None
+    chosen: cells.GivenSlopes | None = None
     while kept is not None:
         name = f"cells {kept.positions}x{kept.velocities}, gap so far {_gap(best.energy, lower):.2f} %"
         clock = _clock(began, seconds, name, tell)
