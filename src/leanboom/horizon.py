@@ -99,7 +99,7 @@ def plan_receding(
     pump: str = "ls",
     horizon: float = 3.0,
     every: float = 0.5,
-    grid: tuple[int, int] = (101, 51),
+    grid: tuple[int, int] = (141, 71),
     step: float = 0.05,
     check: bool = True,
     progress: Callable[[str, float], None] | None = None,

@@ -31,8 +31,8 @@ SOLVED = "solved"  # folder of the solutions
 # Modules that present results or do what no experiment does: their sources have no part in a solution.
 APART = (
     "bounds", "cells", "certificate", "charts", "cli", "comparison", "continuation", "enclosure", "experiments",
-    "figures", "horizon", "incumbent", "inspection", "jobs", "lookahead", "printed", "proofs", "replanning", "report",
-    "reproduction", "results", "runfolder", "simulation_page", "tables", "variations", "writing",
+    "figures", "guide", "horizon", "incumbent", "inspection", "jobs", "lookahead", "printed", "proofs", "replanning",
+    "report", "reproduction", "results", "runfolder", "simulation_page", "tables", "variations", "viability", "writing",
 )  # fmt: skip
 
 Progress = Callable[[str, float], None]
