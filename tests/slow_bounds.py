@@ -15,6 +15,10 @@ from leanboom import crane as cranes
 from leanboom.stages import Problem
 
 
+def quiet(share: float) -> None:
+    """No clock."""
+
+
 def rates(problem: Problem, pump: str, k, c, w, u) -> tuple[np.ndarray, np.ndarray]:
     """Energy of stages k from states and controls [J], and the largest use of a limit of velocity or acceleration."""
     crane, machine = problem.crane, problem.crane.machine

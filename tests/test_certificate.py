@@ -12,10 +12,7 @@ from leanboom import InputError, LeanboomError, cells, certify, incumbent, load_
 from leanboom.cli import app
 from leanboom.machine import Pump
 from leanboom.task import Lines, Task
-
-
-def quiet(share: float) -> None:
-    """No clock."""
+from slow_bounds import quiet
 
 
 def small_task(seed: int) -> Task:

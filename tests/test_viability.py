@@ -8,12 +8,9 @@ import pytest
 import slow_bounds
 from leanboom import bounds, cells, certify, guide, incumbent, kernels, load_task, stages, viability
 from leanboom.task import Lines
+from slow_bounds import quiet
 
 STEP, PUSH, LENGTH = 0.1, 0.5, 0.2  # of the sled [s], [m/s^2], [m]
-
-
-def quiet(share: float) -> None:
-    """No clock."""
 
 
 def sled(rows: int, stages_: int) -> viability.Viable:

@@ -346,6 +346,7 @@ def prepare() -> None:
     columns, lattice = np.zeros((1, 2)), np.ones(bounds.LATTICE)
     cylinder, setting = np.ones((1, kernels.CYLINDER_COLUMNS)), np.ones(kernels.SETTINGS)
     bounds.velocity_columns(model, cylinder, columns)
+    viability.find(np.ones((2, bounds.LATTICE)), (model,), [columns], cylinder, 1.0)
     bounds.cells(
         bounds.PLANE, 0, 1, model, lattice, lattice, columns, columns, np.zeros(2), cylinder, setting, 0.0, one,
         np.zeros((1, 1, 4)), np.zeros((1, 1, 4)), one,

@@ -40,7 +40,7 @@ class Viable:
 
 
 def find(
-    lattice: np.ndarray, model: tuple[np.ndarray, ...], columns: list[np.ndarray], cylinder, step: float
+    lattice: np.ndarray, model: tuple[np.ndarray, ...], columns: list[np.ndarray], cylinder: np.ndarray, step: float
 ) -> Viable:
     """The viable velocities of every stage.
 
