@@ -186,10 +186,10 @@ def test_plan_certifies_when_asked():
 
 
 def test_slopes_are_exact_for_a_plane_and_level_at_an_extreme():
-    i, j = np.meshgrid(np.arange(6.0), np.arange(5.0), indexing="ij")
+    i, j = np.meshgrid(np.arange(6.0), np.array([0.0, 0.4, 2.0, 2.5, 4.0]), indexing="ij")
     values = 3.0 * i - 2.0 * j
-    assert np.allclose(cells.slopes(values, 0), 3.0)
-    assert np.allclose(cells.slopes(values, 1), -2.0)
+    assert np.allclose(cells.slopes(values, 0, i), 3.0)
+    assert np.allclose(cells.slopes(values, 1, j), -2.0)
     values[2, 3] = np.inf
-    assert np.allclose(cells.slopes(values, 1)[2, :3], -2.0)
-    assert cells.slopes(np.abs(np.arange(5.0) - 2.0)[None, :], 1)[0, 2] == 0.0
+    assert np.allclose(cells.slopes(values, 1, j)[2, :3], -2.0)
+    assert cells.slopes(np.abs(np.arange(5.0) - 2.0)[None, :], 1, np.arange(5.0)[None, :])[0, 2] == 0.0

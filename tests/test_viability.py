@@ -1,4 +1,4 @@
-"""Viable velocities and slopes from a policy: nothing a motion does is lost, and the end of the stroke is seen."""
+"""Viable velocities: nothing a motion does is lost, and little else is left."""
 
 from dataclasses import replace
 
@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 
 import slow_bounds
-from leanboom import bounds, cells, certify, guide, incumbent, kernels, load_task, stages, viability
+from leanboom import cells, cellwise, kernels, load_task, stages, viability
 from leanboom.task import Lines
-from slow_bounds import quiet
 
 STEP, PUSH, LENGTH = 0.1, 0.5, 0.2  # of the sled [s], [m/s^2], [m]
 
 
 def sled(rows: int, stages_: int) -> viability.Viable:
     """A mass on a track with nothing but an acceleration limit: B3 = 1, all else 0."""
-    lattice = np.zeros((stages_ + 1, bounds.LATTICE))
-    lattice[:, bounds.L_DC] = LENGTH / rows
+    lattice = np.zeros((stages_ + 1, cellwise.LATTICE))
+    lattice[:, cellwise.L_DC] = LENGTH / rows
     model = np.zeros((rows, 1, kernels.COEFFICIENTS, 4))
     model[:, 0, kernels.B3, 0] = 1.0
     cylinder = np.zeros((1, kernels.CYLINDER_COLUMNS))
@@ -91,62 +90,3 @@ def test_no_random_motion_is_lost(rng):
                 tightest = min(tightest, high[0] - low[0])
     assert seen >= 8
     assert tightest < 0.1  # the bounds say something
-
-
-@pytest.fixture(scope="module")
-def loader():
-    """The medium triangle from the retracted telescope, coarsely, and its cells."""
-    task = replace(load_task("loader-triangle-medium"), start="smallest")
-    problem = stages.discretise(task, 0.25)
-    return problem, cells.whole(problem, "cp")
-
-
-def test_guided_bounds_see_the_end_of_the_stroke_and_stay_below_every_motion(loader, rng):
-    problem, kept = loader
-    start = float(problem.lower[0])
-    known = guide.make(problem, "cp", kept.viable)
-    guided = cells.bound(kept, start, quiet, known.slopes)
-    assert guided.lower > 1.005 * cells.bound(kept, start, quiet).lower
-    # Nor above a policy's motion, stage by stage.
-    moving = guide.dp.rollout(known.policy, start)
-    measured = incumbent.measure(problem, moving, "cp")
-    assert measured.keeps_limits
-    assert guided.lower <= measured.energy
-    assert cells.residuals(guided, moving, measured.costs).min() >= -1e-9 * measured.energy
-
-
-def test_slopes_are_the_policys_where_no_state_is_lost_and_the_nearest_elsewhere(loader):
-    problem, kept = loader
-    known = guide.make(problem, "cp", kept.viable)
-    k, grid = 10, known.policy.grid
-    position = np.linspace(grid.c_lo[k], grid.c_hi[k], grid.positions)
-    velocity = np.linspace(grid.w_lo[k], grid.w_hi[k], grid.velocities)
-    values = known.policy.values.copy()
-    values[k] = 1e4 * (position[:, None] - grid.c_lo[k]) ** 2 - 3e3 * velocity[None, :]
-    shape = kept.active[k].shape
-    along_c, along_w = replace(known, policy=replace(known.policy, values=values)).slopes(k, kept.lattice[k], shape)
-    width = kept.lattice[k, bounds.L_DC]
-    middle = width * (np.arange(shape[0]) + 0.5)
-    assert np.allclose(along_w, -3e3, rtol=1e-2)
-    inner = slice(shape[0] // 3, 2 * shape[0] // 3)
-    assert np.allclose(along_c[inner, shape[1] // 2], 2e4 * middle[inner], rtol=1e-2)
-    # At rest at the lower end: the slope of the first row the margin away from it.
-    apart = guide.MARGIN * (grid.c_hi[k] - grid.c_lo[k]) / (grid.positions - 1)
-    first = int(np.ceil(apart / width - 1e-9))
-    assert along_c[0, shape[1] // 2] == along_c[first, shape[1] // 2] != along_c[first + 1, shape[1] // 2]
-
-
-@pytest.mark.parametrize(
-    ("start", "pump", "guided"), [("smallest", "cp", True), ("smallest", "ls", False), ("middle", "cp", False)]
-)
-def test_a_guide_is_asked_where_the_motion_comes_to_an_end_of_the_stroke(monkeypatch, start, pump, guided):
-    plain, asked = cells.bound, []
-
-    def watched(kept, begin, clock, given=None):
-        asked.append(given)
-        return plain(kept, begin, clock, given)
-
-    monkeypatch.setattr(cells, "bound", watched)
-    proof = certify(load_task("forwarder-vertical", start=start), pump, step=0.1, gap=60.0)
-    assert any(given is not None for given in asked) == guided
-    assert 0.0 < proof.lower_bound_j <= proof.energy_j

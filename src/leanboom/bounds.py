@@ -6,7 +6,7 @@ middle. `docs/certificate.md` derives what is computed here and proves it.
 
 A transition leads from a cell to a velocity row and a position column of the next stage. Within its box
 
-    t in [-1, 1]: position within the cell,   x: velocity from the cell's middle,   y: next velocity from its middle,
+    t in [-1, 1]: position within the cell,   x: velocity from the cell's middle,   y: next velocity on the lattice,
 
 everything is affine in (t, x, y) up to a bounded error, so the least value is attained at corners. What is not
 affine enters by multipliers, for which every value gives a valid bound and `ascend` finds the best: sigma (pump flow
@@ -21,161 +21,53 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from leanboom.cellwise import (
+    L_C,
+    L_DC,
+    L_DW,
+    L_I,
+    L_J,
+    L_W,
+    MOTION,
+    P_BACK,
+    P_E,
+    P_GAIN,
+    P_M,
+    P_T,
+    P_U,
+    P_UE,
+    P_UT,
+    P_X,
+    SNAP,
+    V_E,
+    V_M,
+    V_SIDE,
+    V_T,
+    V_X,
+    cell_motion,
+    expand,
+)
 from leanboom.formula import enable_in_kernels
 from leanboom.kernels import (
-    A0,
-    A1,
-    A_MAX,
     AREA_IN,
     AREA_OUT,
-    B0,
-    B1,
-    B2,
-    B3,
-    BACK_IN,
-    BACK_OUT,
     COEFFICIENTS,
     COST,
-    COULOMB,
     EFFICIENCY,
-    EPSILON,
-    F0,
-    F1,
-    F2,
-    F3,
-    GAIN_IN,
-    GAIN_OUT,
     LS,
     MARGIN,
-    SHARPNESS,
     STEP,
     SUPPLY_CP,
-    V_MAX,
-    VISCOUS,
 )
 
 enable_in_kernels()
 
-# Entries of a lattice: one stage's cells. Window: first row and column present in the arrays of that stage.
-L_C, L_DC, L_W, L_DW, L_I, L_J = range(6)
-LATTICE = 6
 # What a pass over a stage's cells finds.
 MIDDLE, PLANE, FORWARD = range(3)
 
-# Columns of the scratch arrays of a cell, one row a moving cylinder.
-V_M, V_T, V_X, V_E, V_SIDE = range(5)  # velocity: middle, slopes, error; direction: +1, -1, 0 unknown
-P_M, P_T, P_X, P_E, P_U, P_UT, P_UE, P_BACK, P_GAIN = range(5, 14)  # load along the motion, by acceleration; line
-MOTION = 14
 ON_LIMIT = 1e-9  # [m], how far beyond a limit a position may lie, as for the feasible extensions
 # Rows of the forms of a transition: supply pressure candidates as constant, t, x, y.
 FORM = 4
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def expand(model, i, coefficients):
-    """Coefficients over position cell i as a line in t: value, slope, error. The bend is halved, p2 t^2 <= |p2|."""
-    for m in range(coefficients.shape[0]):
-        for q in range(COEFFICIENTS):
-            bend = 0.5 * model[i, m, q, 2]
-            coefficients[m, q, 0] = model[i, m, q, 0] + bend
-            coefficients[m, q, 1] = model[i, m, q, 1]
-            coefficients[m, q, 2] = model[i, m, q, 3] + abs(bend)
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def column_velocities(coefficients, cylinder, low, high):
-    """Velocities of the redundant cylinder that keep every velocity limit somewhere in a position cell."""
-    for m in range(coefficients.shape[0]):
-        a0, a1, limit = coefficients[m, A0], coefficients[m, A1], cylinder[m, V_MAX]
-        reach0, reach1 = abs(a0[1]) + a0[2], abs(a1[1]) + a1[2]
-        # a1 w <= limit - a0 and a1 w >= -limit - a0, for some a0 and a1 of the cell.
-        top, bottom = limit - (a0[0] - reach0), -limit - (a0[0] + reach0)
-        if a1[0] < 0.0:
-            top, bottom = -bottom, -top
-        small, large = abs(a1[0]) - reach1, abs(a1[0]) + reach1
-        if small > 0.0:
-            high = min(high, top / (small if top > 0.0 else large))
-            low = max(low, bottom / (small if bottom < 0.0 else large))
-    return low, high
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def cell_accelerations(coefficients, cylinder, w, half):
-    """Bounds of the accelerations of the redundant cylinder that some state of a cell admits [m/s^2]."""
-    lo, hi = -np.inf, np.inf
-    top = abs(w) + half
-    for m in range(coefficients.shape[0]):
-        row = coefficients[m]
-        # |b0 + b1 w + b2 w^2 + b3 u| <= limit for some state of the cell.
-        b = row[B0, 0] + w * (row[B1, 0] + w * row[B2, 0])
-        spread = abs(row[B0, 1] + w * (row[B1, 1] + w * row[B2, 1]))
-        spread += half * (abs(row[B1, 0] + 2.0 * w * row[B2, 0]) + abs(row[B1, 1] + 2.0 * w * row[B2, 1]))
-        spread += half * half * (abs(row[B2, 0]) + abs(row[B2, 1]))
-        spread += row[B0, 2] + top * (row[B1, 2] + top * row[B2, 2])
-        limit = cylinder[m, A_MAX]
-        most, least = limit - (b - spread), -limit - (b + spread)
-        if row[B3, 0] < 0.0:
-            most, least = -least, -most
-        reach = abs(row[B3, 1]) + row[B3, 2]
-        small, large = abs(row[B3, 0]) - reach, abs(row[B3, 0]) + reach
-        if small > 0.0:
-            hi = min(hi, most / (small if most > 0.0 else large))
-            lo = max(lo, least / (small if least < 0.0 else large))
-    return lo, hi
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def cell_motion(coefficients, cylinder, setting, w, half, motion):
-    """Velocities, loads and admissible accelerations over a cell; `motion` is filled row by row.
-
-    Returns:
-        Bounds of the accelerations of the redundant cylinder that some state of the cell admits [m/s^2].
-    """
-    top = abs(w) + half
-    pressures = int(setting[COST]) == LS
-    for m in range(coefficients.shape[0]):
-        row = coefficients[m]
-        motion[m, V_M] = row[A0, 0] + row[A1, 0] * w
-        motion[m, V_T] = row[A0, 1] + row[A1, 1] * w
-        motion[m, V_X] = row[A1, 0]
-        motion[m, V_E] = row[A0, 2] + row[A1, 2] * top + abs(row[A1, 1]) * half
-        # Which way the cylinder moves, and whether it surely counts as driven.
-        reach = abs(motion[m, V_T]) + abs(motion[m, V_X]) * half + motion[m, V_E]
-        slow, fast = motion[m, V_M] - reach, motion[m, V_M] + reach
-        motion[m, V_SIDE] = 1.0 if slow >= 0.0 else (-1.0 if fast <= 0.0 else 0.0)
-        motion[m, P_GAIN] = 0.0
-        motion[m, P_BACK] = 0.0
-        if not pressures:
-            continue
-        side = 0.0
-        if slow > setting[EPSILON]:
-            side = 1.0
-            motion[m, P_GAIN], motion[m, P_BACK] = cylinder[m, GAIN_OUT], cylinder[m, BACK_OUT]
-        elif fast < -setting[EPSILON]:
-            side = -1.0
-            motion[m, P_GAIN], motion[m, P_BACK] = cylinder[m, GAIN_IN], cylinder[m, BACK_IN]
-        if side == 0.0 or (motion[m, P_GAIN] == 0.0 and motion[m, P_BACK] == 0.0):
-            motion[m, P_GAIN] = -1.0  # no pressure to count on
-            continue
-        # Load along the motion, side (f0 + f1 w + f2 w^2 + f3 u + friction), friction rising from slow to fast.
-        grip_slow, grip_fast = np.tanh(cylinder[m, SHARPNESS] * slow), np.tanh(cylinder[m, SHARPNESS] * fast)
-        grip, slip = 0.5 * (grip_slow + grip_fast), 0.5 * (grip_fast - grip_slow)
-        motion[m, P_M] = row[F0, 0] + w * (row[F1, 0] + w * row[F2, 0]) + grip * row[COULOMB, 0]
-        motion[m, P_M] += cylinder[m, VISCOUS] * motion[m, V_M]
-        motion[m, P_T] = row[F0, 1] + w * (row[F1, 1] + w * row[F2, 1]) + grip * row[COULOMB, 1]
-        motion[m, P_T] += cylinder[m, VISCOUS] * motion[m, V_T]
-        motion[m, P_X] = row[F1, 0] + 2.0 * w * row[F2, 0] + cylinder[m, VISCOUS] * motion[m, V_X]
-        motion[m, P_E] = row[F0, 2] + top * (row[F1, 2] + top * row[F2, 2]) + cylinder[m, VISCOUS] * motion[m, V_E]
-        motion[m, P_E] += half * abs(row[F1, 1] + 2.0 * w * row[F2, 1])
-        motion[m, P_E] += half * half * (abs(row[F2, 0]) + abs(row[F2, 1]))
-        motion[m, P_E] += abs(grip) * row[COULOMB, 2] + slip * (
-            abs(row[COULOMB, 0]) + abs(row[COULOMB, 1]) + row[COULOMB, 2]
-        )
-        motion[m, P_U], motion[m, P_UT], motion[m, P_UE] = row[F3, 0], row[F3, 1], row[F3, 2]
-        if side < 0.0:
-            for column in (P_M, P_T, P_X, P_U, P_UT):
-                motion[m, column] = -motion[m, column]
-    return cell_accelerations(coefficients, cylinder, w, half)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -216,15 +108,6 @@ def ascend(form, direction, low, high, box):
         for q in range(FORM):
             form[q] += chosen * direction[q]
     return chosen
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def velocity_columns(model, cylinder, columns):
-    """Bounds of the admissible velocities over every position cell of a window, `columns` (rows, 2) [m/s]."""
-    coefficients = np.empty((*model.shape[1:3], 3))
-    for p in range(columns.shape[0]):
-        expand(model, p, coefficients)
-        columns[p, 0], columns[p, 1] = column_velocities(coefficients, cylinder, columns[p, 0], columns[p, 1])
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -342,8 +225,8 @@ def sharpen(  # noqa: PLR0913
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def cells(  # noqa: PLR0913
-    kind, first, last, model, here, there, columns, columns_ahead, fixed, cylinder, setting, limit, active,
-    planes, ahead, found,
+    kind, first, last, model, here, there, edges, edges_ahead, columns, columns_ahead, fixed, cylinder, setting,
+    limit, active, planes, ahead, found,
 ):  # fmt: skip
     """One pass over the cells of a stage, rows `first` to `last` - 1 of its window.
 
@@ -353,6 +236,7 @@ def cells(  # noqa: PLR0913
         first, last: Rows.
         model: Enclosures of the stage's coefficients over position cells, (rows, moving, COEFFICIENTS, 4).
         here, there: Lattices of this and the next stage, (LATTICE,).
+        edges, edges_ahead: Edges of the cells of both windows in velocity [m/s], (rows, columns + 1).
         columns, columns_ahead: Admissible velocities over position cells of both windows [m/s], (rows, 2).
         fixed: Flow [m^3/s] and counted pressure [Pa] of the prescribed cylinders, (2,).
         cylinder: (moving, CYLINDER_COLUMNS).
@@ -371,8 +255,8 @@ def cells(  # noqa: PLR0913
     form, direction = np.zeros(FORM), np.zeros(FORM)
     sigma, turn = np.zeros(n), np.zeros(2)
     rate = step / setting[EFFICIENCY]
-    dc, dw, half_c, half = here[L_DC], here[L_DW], 0.5 * here[L_DC], 0.5 * here[L_DW]
-    next_dc, next_dw, next_half = there[L_DC], there[L_DW], 0.5 * there[L_DW]
+    dc, half_c = here[L_DC], 0.5 * here[L_DC]
+    next_dc, next_dw, next_half = there[L_DC], there[L_DW], (0.5 + SNAP) * there[L_DW]
     i_ahead, j_ahead = int(there[L_I]), int(there[L_J])
     inverse = 1.0 / half_c
     lead = 0
@@ -382,10 +266,10 @@ def cells(  # noqa: PLR0913
         for r in range(active.shape[1]):
             if active[p, r] == np.inf:
                 continue
-            w = here[L_W] + (here[L_J] + r + 0.5) * dw
+            w, half = 0.5 * (edges[p, r + 1] + edges[p, r]), 0.5 * (edges[p, r + 1] - edges[p, r])
             best = np.inf
             # Excess so far less the level; where the floor is above the plane, less by how much at most.
-            rise = 0.5 * (abs(planes[p, r, 1]) * dc + abs(planes[p, r, 2]) * dw)
+            rise = abs(planes[p, r, 1]) * half_c + abs(planes[p, r, 2]) * half
             so_far = active[p, r] - max(planes[p, r, 0], planes[p, r, 3] + rise)
             whole[0, 0], whole[1, 0] = -1.0, 1.0
             whole[0, 1], whole[1, 1] = max(-half, columns[p, 0] - w), min(half, columns[p, 1] - w)
@@ -396,8 +280,8 @@ def cells(  # noqa: PLR0913
                 f0, ft, fx, loose_t, loose_x = cell_flow(motion, cylinder, half, fixed[0], sigma)
                 slowest, fastest = w + whole[0, 1] + step * lo, w + whole[1, 1] + step * hi
                 if next_dw > 0.0:
-                    j_first = int(np.floor((slowest - there[L_W]) / next_dw))
-                    j_last = int(np.floor((fastest - there[L_W]) / next_dw))
+                    j_first = int(np.floor((slowest - there[L_W]) / next_dw - SNAP))
+                    j_last = int(np.floor((fastest - there[L_W]) / next_dw + SNAP))
                 else:
                     j_first, j_last = 0, (0 if slowest <= there[L_W] <= fastest else -1)
                 j_first, j_last = max(j_first, int(there[L_J])), min(j_last, int(there[L_J]) + ahead.shape[1] - 1)
@@ -444,8 +328,9 @@ def cells(  # noqa: PLR0913
                         level = ahead[row, column, 0]
                         if level == np.inf:
                             continue
-                        y_lo = max(whole[0, 2], columns_ahead[row, 0] - next_w)
-                        y_hi = min(whole[1, 2], columns_ahead[row, 1] - next_w)
+                        bottom, top = edges_ahead[row, column], edges_ahead[row, column + 1]
+                        y_lo = max(whole[0, 2], max(columns_ahead[row, 0], bottom) - next_w)
+                        y_hi = min(whole[1, 2], min(columns_ahead[row, 1], top) - next_w)
                         edge = there[L_C] + i * next_dc
                         low = (edge - ON_LIMIT - drift - 0.5 * step * (whole[1, 1] + y_hi)) * inverse
                         high = (edge + next_dc + ON_LIMIT - drift - 0.5 * step * (whole[0, 1] + y_lo)) * inverse
@@ -455,6 +340,7 @@ def cells(  # noqa: PLR0913
                         slope_c, slope_w = ahead[row, column, 1], ahead[row, column, 2]
                         lean = 0.5 * step * slope_c
                         g0 = cost_m + level + slope_c * (drift - edge - 0.5 * next_dc)
+                        g0 += slope_w * (next_w - 0.5 * (bottom + top))
                         gt, gx, gy = cost_t + slope_c * half_c, cost_x + lean, cost_y + lean + slope_w
                         value = g0 + gt * (t_lo if gt > 0.0 else t_hi)
                         value += gx * (whole[0, 1] if gx > 0.0 else whole[1, 1]) + gy * (y_lo if gy > 0.0 else y_hi)
@@ -469,7 +355,7 @@ def cells(  # noqa: PLR0913
                             for v in range(FORM):
                                 supply[v] = forms[chosen, v]
                             floor = ahead[row, column, 3]
-                            if level - 0.5 * (abs(slope_c) * next_dc + abs(slope_w) * next_dw) < floor:
+                            if level - 0.5 * (abs(slope_c) * next_dc + abs(slope_w) * (top - bottom)) < floor:
                                 # The cost to go is not below the floor either: any mean of plane and floor will do.
                                 direction[0] = floor - (g0 - cost_m)
                                 direction[1], direction[2], direction[3] = -slope_c * half_c, -lean, -lean - slope_w

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leanboom import bounds, enclosure, kernels, stages, viability
+from leanboom import bounds, cellwise, enclosure, kernels, stages, viability
 from leanboom import crane as cranes
+from leanboom.cellwise import L_C, L_DC, L_DW, L_I, L_W, LATTICE
 from leanboom.enclosure import Enclosure
 from leanboom.motion import Motion
 from leanboom.stages import Problem
@@ -26,7 +27,8 @@ VELOCITY = 0.01  # [m/s], largest height of a cell of the first level
 UNKNOWN = 1e30  # error of a coefficient that cannot be enclosed over a cell
 SHARES = 8  # parts a thread takes of a stage: rows differ in work
 AT_REST = 1e-6  # [m/s], velocity below which a motion ends at rest
-GivenSlopes = Callable[[int, np.ndarray, tuple[int, int]], tuple[np.ndarray, np.ndarray]]  # as `guide.Guide.slopes`
+ON_EDGE = 1e-10  # [m/s], by which a velocity may be off a cell to be counted in it
+CLOSE = 1e-6  # [m], [m/s], least distance of middles for a slope
 BENT = 0.25  # a plane that loses more than this share of what it rises over its cell is tried again, level
 
 
@@ -38,9 +40,10 @@ class Cells:
     cost: str
     positions: int  # cells between the ends of a stage's feasible extensions
     velocities: int  # cells between the limits of the redundant cylinder's velocity
-    lattice: np.ndarray  # (stages + 1, bounds.LATTICE)
+    lattice: np.ndarray  # (stages + 1, cellwise.LATTICE)
     active: tuple[np.ndarray, ...]  # 0 where a cell is kept, inf where not, (rows, columns) a stage
     model: tuple[np.ndarray, ...]  # enclosures of the coefficients, (rows, moving, COEFFICIENTS, 4) a stage
+    edges: tuple[np.ndarray, ...]  # of the cells in velocity [m/s], (rows, columns + 1) a stage and the end
     columns: tuple[np.ndarray, ...]  # admissible velocities of each row [m/s], (rows, 2) a stage and the end
     fixed: np.ndarray  # pump flow [m^3/s] and pressure [Pa] of prescribed cylinders, (stages + 1, 2)
     cylinder: np.ndarray  # (moving, kernels.CYLINDER_COLUMNS)
@@ -51,6 +54,13 @@ class Cells:
     def count(self) -> int:
         """Number of cells kept."""
         return sum(int(np.isfinite(a).sum()) for a in self.active)
+
+    def middles(self, k: int) -> np.ndarray:
+        """Velocities in the middle of a stage's cells [m/s], (rows, columns)."""
+        return 0.5 * (self.edges[k][:, 1:] + self.edges[k][:, :-1])
+
+
+GivenSlopes = Callable[[Cells, int], np.ndarray]  # as `guide.Guide.slopes`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,32 +88,35 @@ def whole(problem: Problem, cost: str) -> Cells:
     limit = problem.crane.machine.redundant.velocity_limit
     positions = max(2, int(np.ceil(np.max(problem.upper - problem.lower) / POSITION)))
     velocities = 2 * int(np.ceil(limit / VELOCITY))
-    active = tuple(np.zeros((positions, velocities)) for _ in range(problem.stages))
-    return _cut(problem, cost, positions, velocities, active, np.zeros((problem.stages, 2), dtype=int), None)
+    shapes = [(positions, velocities)] * problem.stages
+    return _cut(problem, cost, positions, velocities, shapes, np.zeros((problem.stages, 2), dtype=int), None)
 
 
 def _cut(  # noqa: PLR0913
-    problem: Problem, cost: str, positions: int, velocities: int, active, corner: np.ndarray, viable: Viable | None
+    problem: Problem, cost: str, positions: int, velocities: int, shapes, corner: np.ndarray, viable: Viable | None
 ) -> Cells:
-    """Cells of a resolution; `corner` is the first row and column of each stage's window, (stages, 2).
+    """Cells of a resolution, all active: `corner` is the first row and column of each stage's window, (stages, 2).
 
     Viable velocities are looked for, where none are given, on windows that are whole stages.
     """
     limit = problem.crane.machine.redundant.velocity_limit
     n = problem.stages
-    lattice = np.zeros((n + 1, bounds.LATTICE))
-    lattice[:, bounds.L_C] = problem.lower
-    lattice[:, bounds.L_DC] = np.maximum(problem.upper - problem.lower, 1e-9) / positions
-    lattice[:n, bounds.L_W] = -limit
-    lattice[:n, bounds.L_DW] = 2.0 * limit / velocities
-    lattice[:n, bounds.L_I :] = corner
+    lattice = np.zeros((n + 1, LATTICE))
+    lattice[:, L_C] = problem.lower
+    lattice[:, L_DC] = np.maximum(problem.upper - problem.lower, 1e-9) / positions
+    lattice[:n, L_W] = -limit
+    lattice[:n, L_DW] = 2.0 * limit / velocities
+    lattice[:n, L_I:] = corner
     cylinder = stages.cylinder_table(problem)
     setting = stages.setting(problem, cost, (0.0, 0.0, 0.0, 0.0))
     setting[kernels.EPSILON] = problem.crane.machine.driven_velocity
-    model = enclosures(problem, lattice, [a.shape[0] for a in active])
-    columns = [np.tile([-limit, limit], (a.shape[0], 1)) for a in active]
-    for rows, stage in zip(columns, model, strict=True):
-        bounds.velocity_columns(stage, cylinder, rows)
+    model = enclosures(problem, lattice, [rows for rows, _ in shapes])
+    columns = [np.tile([-limit, limit], (rows, 1)) for rows, _ in shapes]
+    edges = [np.zeros((rows, count + 1)) for rows, count in shapes]
+    for k, stage in enumerate(model):
+        cellwise.velocity_columns(stage, cylinder, columns[k])
+        cellwise.place_edges(stage, setting, lattice[k], edges[k])
+    edges.append(np.zeros((positions, 2)))
     viable = viable or viability.find(lattice, model, columns, cylinder, problem.step)
     for k, rows in enumerate(columns):
         first = (corner[k, 0] + np.arange(len(rows))) / positions
@@ -113,8 +126,8 @@ def _cut(  # noqa: PLR0913
     flow, pressure, _ = stages.prescribed(problem, cost)
     fixed = np.stack([flow, pressure], axis=1)
     return Cells(
-        problem, cost, positions, velocities, lattice, tuple(active), model, tuple(columns), fixed, cylinder, setting,
-        viable,
+        problem, cost, positions, velocities, lattice, tuple(np.zeros(shape) for shape in shapes), model, tuple(edges),
+        tuple(columns), fixed, cylinder, setting, viable,
     )  # fmt: skip
 
 
@@ -123,16 +136,16 @@ def enclosures(problem: Problem, lattice: np.ndarray, rows: list[int]) -> tuple[
 
     Args:
         problem: The discretised task.
-        lattice: Where the cells are, (stages + 1, bounds.LATTICE).
+        lattice: Where the cells are, (stages + 1, LATTICE).
         rows: Number of position cells of each window, (stages,).
 
     Returns:
         Per stage an array (rows, moving, kernels.COEFFICIENTS, 4): p0, p1, p2 and error of `enclosure.Enclosure`.
     """
     stage = np.repeat(np.arange(len(rows)), rows)
-    row = np.concatenate([np.arange(count) for count in rows]) + lattice[stage, bounds.L_I]
-    half = 0.5 * lattice[stage, bounds.L_DC]
-    middle = lattice[stage, bounds.L_C] + half * (2.0 * row + 1.0)
+    row = np.concatenate([np.arange(count) for count in rows]) + lattice[stage, L_I]
+    half = 0.5 * lattice[stage, L_DC]
+    middle = lattice[stage, L_C] + half * (2.0 * row + 1.0)
     with np.errstate(all="ignore"):  # beside a singular pose bounds may be infinite
         pose = cranes.pose(problem.crane, problem.plane[stage], enclosure.variable(middle, half))
         motions = [cranes.move(pose, w, u) for w, u in ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
@@ -182,10 +195,10 @@ def _planes(pool: _Pool, k: int, ahead: np.ndarray) -> np.ndarray:
     cells, active = pool.cells, pool.cells.active[k]
     here = np.zeros((*active.shape, 4))
     middle = pool.run(bounds.MIDDLE, k, active, here, ahead)
-    here[..., 1] = slopes(middle, 0) / cells.lattice[k, bounds.L_DC]
-    here[..., 2] = slopes(middle, 1) / cells.lattice[k, bounds.L_DW]
+    here[..., 1] = slopes(middle, 0, cells.lattice[k, L_DC] * np.arange(active.shape[0])[:, None])
+    here[..., 2] = slopes(middle, 1, cells.middles(k))
     level = pool.run(bounds.PLANE, k, active, here, ahead)
-    rise = np.abs(here[..., 1]) * cells.lattice[k, bounds.L_DC] + np.abs(here[..., 2]) * cells.lattice[k, bounds.L_DW]
+    rise = np.abs(here[..., 1]) * cells.lattice[k, L_DC] + np.abs(here[..., 2]) * np.diff(cells.edges[k], axis=1)
     with np.errstate(invalid="ignore"):
         bent = np.isfinite(level) & ~(middle - level <= BENT * rise)
     if bent.any():
@@ -202,7 +215,7 @@ def _guided(pool: _Pool, k: int, ahead: np.ndarray, guide: GivenSlopes) -> np.nd
     """Planes of a stage with the slopes of a guide, and a floor to each."""
     cells, active = pool.cells, pool.cells.active[k]
     here = np.zeros((*active.shape, 4))
-    here[..., 1], here[..., 2] = guide(k, cells.lattice[k], active.shape)
+    here[..., 1:3] = guide(cells, k)
     here[..., 0] = pool.run(bounds.PLANE, k, active, here, ahead)
     reached = np.isfinite(here[..., 0])
     flat = pool.run(bounds.PLANE, k, np.where(reached, 0.0, np.inf), np.zeros_like(here), ahead)
@@ -210,8 +223,8 @@ def _guided(pool: _Pool, k: int, ahead: np.ndarray, guide: GivenSlopes) -> np.nd
     return here
 
 
-def slopes(values: np.ndarray, axis: int) -> np.ndarray:
-    """Rise of values from cell to cell along an axis, 0 at an extreme.
+def slopes(values: np.ndarray, axis: int, at: np.ndarray) -> np.ndarray:
+    """Slopes of values from cell to cell along an axis, 0 at an extreme.
 
     Any slope gives a valid plane; these make planes that lie close. Along position, where values bend little and
     their differences are noisy: van Leer's mean of both sides of smoothed values. Along velocity, across the jumps
@@ -220,9 +233,10 @@ def slopes(values: np.ndarray, axis: int) -> np.ndarray:
     Args:
         values: Least cost to go from the cells' middles [J], inf where there is none, (rows, columns).
         axis: 0 for position, 1 for velocity.
+        at: Positions [m] or velocities [m/s] of the middles, as broadcast to the values.
 
     Returns:
-        Rise per cell [J], (rows, columns).
+        Slopes [J/m] or [J s/m], (rows, columns).
     """
     f = np.swapaxes(np.where(np.isfinite(values), values, np.nan), 0, axis)
     if f.shape[0] < 2:
@@ -230,7 +244,8 @@ def slopes(values: np.ndarray, axis: int) -> np.ndarray:
     if axis == 0:
         mean = 0.25 * f[:-2] + 0.5 * f[1:-1] + 0.25 * f[2:]
         f = np.concatenate([f[:1], np.where(np.isfinite(mean), mean, f[1:-1]), f[-1:]])
-    step = np.diff(f, axis=0)
+    apart = np.swapaxes(np.broadcast_to(at, values.shape), 0, axis)
+    step = np.diff(f, axis=0) / np.maximum(np.diff(apart, axis=0), CLOSE)
     edge = np.full((1, f.shape[1]), np.nan)
     left, right = np.concatenate([edge, step]), np.concatenate([step, edge])
     left, right = np.where(np.isnan(left), right, left), np.where(np.isnan(right), left, right)
@@ -245,9 +260,9 @@ def slopes(values: np.ndarray, axis: int) -> np.ndarray:
 
 def _at_start(cells: Cells, planes: np.ndarray, start: float | None) -> np.ndarray:
     """Least value over the start states of each cell of stage 0, inf where a cell holds none."""
-    c_lo, dc, w_lo, dw, i, j = cells.lattice[0]
-    off = -(w_lo + (j + np.arange(planes.shape[1]) + 0.5) * dw)  # from the middle to rest
-    middle = c_lo + (i + np.arange(planes.shape[0]) + 0.5) * dc
+    c_lo, dc = cells.lattice[0, L_C], cells.lattice[0, L_DC]
+    off = -cells.middles(0)  # from the middle to rest
+    middle = c_lo + (cells.lattice[0, L_I] + np.arange(planes.shape[0]) + 0.5) * dc
     if start is None:
         low, high = np.full(middle.size, -0.5 * dc), np.full(middle.size, 0.5 * dc)
         inside = np.ones(middle.size, dtype=bool)
@@ -257,7 +272,8 @@ def _at_start(cells: Cells, planes: np.ndarray, start: float | None) -> np.ndarr
     value = planes[..., 0] + planes[..., 2] * off
     value = value + np.minimum(planes[..., 1] * low[:, None], planes[..., 1] * high[:, None])
     value = np.maximum(value, np.where(np.isfinite(planes[..., 0]), planes[..., 3], np.inf))
-    return np.where(inside[:, None] & (np.abs(off) <= 0.5 * dw * (1.0 + 1e-9)), value, np.inf)
+    at_rest = np.abs(off) <= 0.5 * np.diff(cells.edges[0], axis=1) + ON_EDGE
+    return np.where(inside[:, None] & at_rest, value, np.inf)
 
 
 def reach(found: Bounds, limit: float, check: Callable[[float], None]) -> tuple[np.ndarray, ...]:
@@ -284,18 +300,33 @@ def reach(found: Bounds, limit: float, check: Callable[[float], None]) -> tuple[
 
 def refine(cells: Cells, excess: tuple[np.ndarray, ...]) -> Cells | None:
     """The cells that can still be entered, halved in both directions; None where there are none."""
-    active, corner = [], np.zeros((cells.problem.stages, 2), dtype=int)
+    corner, shapes, kept = np.zeros((cells.problem.stages, 2), dtype=int), [], []
     for k, reached in enumerate(excess):
-        kept = np.isfinite(reached)
-        rows, columns = np.nonzero(kept.any(axis=1))[0], np.nonzero(kept.any(axis=0))[0]
+        kept.append(np.isfinite(reached))
+        rows, columns = np.nonzero(kept[k].any(axis=1))[0], np.nonzero(kept[k].any(axis=0))[0]
         if rows.size == 0:
             return None
-        kept = kept[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-        corner[k] = 2 * (cells.lattice[k, bounds.L_I :].astype(int) + (rows[0], columns[0]))
-        active.append(np.where(kept.repeat(2, axis=0).repeat(2, axis=1), 0.0, np.inf))
-    return _cut(
-        cells.problem, cells.cost, 2 * cells.positions, 2 * cells.velocities, tuple(active), corner, cells.viable
-    )
+        # Edges of both levels are moved, by less than half a cell each: a neighbour may take over a strip.
+        first, last = max(columns[0] - 1, 0), min(columns[-1] + 1, kept[k].shape[1] - 1)
+        corner[k] = 2 * (cells.lattice[k, L_I:].astype(int) + (rows[0], first))
+        shapes.append((2 * (rows[-1] - rows[0] + 1), 2 * (last - first + 1)))
+    finer = _cut(cells.problem, cells.cost, 2 * cells.positions, 2 * cells.velocities, shapes, corner, cells.viable)
+    return replace(finer, active=tuple(_within(cells, kept[k], finer, k) for k in range(cells.problem.stages)))
+
+
+def _within(cells: Cells, kept: np.ndarray, finer: Cells, k: int) -> np.ndarray:
+    """Which cells of a finer level share states with a kept cell of a stage: 0, or inf where there are none."""
+    edges = finer.edges[k]
+    origin = cells.lattice[k, L_I:].astype(int)
+    corner = finer.lattice[k, L_I:].astype(int)
+    row = (corner[0] + np.arange(edges.shape[0])) // 2 - origin[0]
+    column = (corner[1] + np.arange(edges.shape[1] - 1)) // 2 - origin[1]
+    shared = np.zeros((row.size, column.size), dtype=bool)
+    for beside in (-1, 0, 1):
+        other = np.clip(column + beside, 0, kept.shape[1] - 1)
+        low, high = cells.edges[k][row[:, None], other], cells.edges[k][row[:, None], other + 1]
+        shared |= kept[row[:, None], other] & (low < edges[:, 1:]) & (high > edges[:, :-1])
+    return np.where(shared, 0.0, np.inf)
 
 
 def memory(cells: Cells, excess: tuple[np.ndarray, ...]) -> float:
@@ -310,16 +341,18 @@ def value_at(found: Bounds, k: int, position: float, velocity: float) -> float:
     """Lower bound of the cost to go from a state [J]: the least of the cells it lies in; inf where there is none."""
     if k == found.cells.problem.stages:
         return 0.0 if abs(velocity) < AT_REST else np.inf
-    c_lo, dc, w_lo, dw, first_i, first_j = found.cells.lattice[k]
-    planes = found.planes[k]
-    x, y = (position - c_lo) / dc - first_i, (velocity - w_lo) / dw - first_j
+    planes, edges, lattice = found.planes[k], found.cells.edges[k], found.cells.lattice[k]
+    x = (position - lattice[L_C]) / lattice[L_DC] - lattice[L_I]
     least = np.inf
     for i in {int(np.floor(x - 1e-6)), int(np.floor(x + 1e-6))}:
-        for j in {int(np.floor(y - 1e-6)), int(np.floor(y + 1e-6))}:
-            if 0 <= i < planes.shape[0] and 0 <= j < planes.shape[1] and np.isfinite(planes[i, j, 0]):
-                level, slope_c, slope_w, floor = planes[i, j]
-                value = level + slope_c * (x - i - 0.5) * dc + slope_w * (y - j - 0.5) * dw
-                least = min(least, max(value, floor))
+        if not 0 <= i < planes.shape[0]:
+            continue
+        inside = (edges[i, :-1] - ON_EDGE <= velocity) & (velocity <= edges[i, 1:] + ON_EDGE)
+        for j in np.nonzero(inside & np.isfinite(planes[i, :, 0]))[0]:
+            level, slope_c, slope_w, floor = planes[i, j]
+            value = level + slope_c * (x - i - 0.5) * lattice[L_DC]
+            value += slope_w * (velocity - 0.5 * (edges[i, j] + edges[i, j + 1]))
+            least = min(least, max(value, floor))
     return least
 
 
@@ -343,13 +376,14 @@ def residuals(found: Bounds, motion: Motion, costs: np.ndarray) -> np.ndarray:
 def prepare() -> None:
     """Load the compiled kernels, compiling them on the very first run, by bounding a stage of one cell."""
     model, one = np.zeros((1, 1, kernels.COEFFICIENTS, 4)), np.zeros((1, 1))
-    columns, lattice = np.zeros((1, 2)), np.ones(bounds.LATTICE)
+    columns, lattice = np.zeros((1, 2)), np.ones(LATTICE)
     cylinder, setting = np.ones((1, kernels.CYLINDER_COLUMNS)), np.ones(kernels.SETTINGS)
-    bounds.velocity_columns(model, cylinder, columns)
-    viability.find(np.ones((2, bounds.LATTICE)), (model,), [columns], cylinder, 1.0)
+    cellwise.velocity_columns(model, cylinder, columns)
+    cellwise.place_edges(model, setting, lattice, np.zeros((1, 2)))
+    viability.find(np.ones((2, LATTICE)), (model,), [columns], cylinder, 1.0)
     bounds.cells(
-        bounds.PLANE, 0, 1, model, lattice, lattice, columns, columns, np.zeros(2), cylinder, setting, 0.0, one,
-        np.zeros((1, 1, 4)), np.zeros((1, 1, 4)), one,
+        bounds.PLANE, 0, 1, model, lattice, lattice, columns, columns, columns, columns, np.zeros(2), cylinder, setting,
+        0.0, one, np.zeros((1, 1, 4)), np.zeros((1, 1, 4)), one,
     )  # fmt: skip
 
 
@@ -381,8 +415,8 @@ class _Pool:
         jobs = [
             self.pool.submit(
                 bounds.cells, kind, first, last, cells.model[k], cells.lattice[k], cells.lattice[k + 1],
-                cells.columns[k], cells.columns[k + 1], cells.fixed[k], cells.cylinder, cells.setting, limit, active,
-                planes, ahead, found[part % len(found)],
+                cells.edges[k], cells.edges[k + 1], cells.columns[k], cells.columns[k + 1], cells.fixed[k],
+                cells.cylinder, cells.setting, limit, active, planes, ahead, found[part % len(found)],
             )
             for part, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True))
         ]  # fmt: skip

@@ -117,6 +117,7 @@ def certify(
     tell("loading kernels of the bounds (compiled on the first run ever, which takes up to a minute)", 0.0)
     dp.prepare()
     cells.prepare()
+    guide.prepare()
     began = time.perf_counter()
     problem = stages.discretise(task, step)
     start = dp.start_position(problem, task.start)
@@ -170,7 +171,7 @@ def _bound(
         clock = _clock(began, seconds, name, tell)
         try:
             found = cells.bound(kept, start, clock, chosen)
-            if not levels and pump == "cp" and _at_an_end(problem, best.motion):
+            if not levels and _gap(best.energy, found.lower) > gap and guide.memory(problem) < 0.5 * dp.free_memory():
                 known = guide.make(problem, pump, kept.viable)
                 guided = cells.bound(kept, start, clock, known.slopes)
                 if guided.lower > found.lower:
@@ -196,12 +197,6 @@ def _bound(
     last = levels[-1]
     levels.append(Level(2 * last.positions, 2 * last.velocities, 0, lower, _gap(best.energy, lower), gone))
     return tuple(levels), "gap reached"
-
-
-def _at_an_end(problem: Problem, motion: Motion) -> bool:
-    """Whether a motion comes within a cell of an end of the feasible extensions, where a guide may help."""
-    room = np.minimum(motion.position - problem.lower, problem.upper - motion.position)
-    return bool(room.min() < cells.POSITION)
 
 
 def _clock(began: float, seconds: float, name: str, tell: Progress) -> Callable[[float], None]:

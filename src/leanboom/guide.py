@@ -2,8 +2,12 @@
 
 A cell at an end of the feasible extensions is a box: whoever may be anywhere in it may stay in it although moving
 toward the end. Bounds of such cells know nothing of the end, nor do slopes that are differences of them, and
-planes without slope let them be so at every stage before. The values of a dynamic program do know. Only their
-slopes are used; whatever these are, the bounds stay proven (`docs/certificate.md`).
+planes without slope let them be so at every stage before. The values of a dynamic program do know.
+
+Power has kinks and jumps in velocity, so the values themselves make bad slopes where a cell holds one, and the best
+motions ride on kinks. A stage's cost and what follows after it are taken apart (`docs/certificate.md`): what follows
+is smooth, and the slope of the stage's cost over a cell with a kink is chosen such that riding on it is exact. Only
+slopes come from here; whatever they are, the bounds stay proven.
 """
 
 from __future__ import annotations
@@ -11,16 +15,35 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
+from numba import njit
 
 from leanboom import dp, stages
-from leanboom.bounds import L_C, L_DC, L_DW, L_I, L_J, L_W
+from leanboom.bounds import FORM, ON_LIMIT, cell_flow, supply_forms
+from leanboom.cells import Cells
+from leanboom.cellwise import (
+    L_C,
+    L_DC,
+    L_I,
+    LATTICE,
+    MOTION,
+    V_SIDE,
+    V_T,
+    V_X,
+    cell_accelerations,
+    cell_motion,
+    expand,
+)
 from leanboom.dp import Policy
+from leanboom.kernels import AREA_IN, AREA_OUT, COEFFICIENTS, CYLINDER_COLUMNS, EFFICIENCY, SETTINGS, STEP
 from leanboom.stages import Problem
 from leanboom.viability import Viable
 
-GRID = (201, 101)  # positions and velocities of the policy
+GRID = (801, 201)  # positions and velocities of the policy
 MARGIN = 3.0  # spacings of that grid around a cell in which no state may be lost, for its slopes to be used
+THIN = 1e-6  # [m/s], least half height of a cell for differences over it
+# Entries of the axes of a stage's values: first and spacing of positions and of velocities.
+G_C, G_DC, G_W, G_DW = range(4)
+AXES = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,54 +53,189 @@ class Guide:
     policy: Policy
     viable: Viable
 
-    def slopes(self, k: int, lattice: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """Slopes of the values over the cells of a stage; cells near lost states take those of the nearest others.
+    def slopes(self, cells: Cells, k: int) -> np.ndarray:
+        """Slopes for the planes of a stage's cells; cells near lost states take what follows from the nearest others.
 
         Args:
+            cells: The cells.
             k: The stage.
-            lattice: Its cells, (bounds.LATTICE,).
-            shape: Rows and columns of its window.
 
         Returns:
-            Along position [J/m] and velocity [J s/m], arrays of that shape.
+            Along position [J/m] and velocity [J s/m], (rows, columns, 2).
         """
+        found = np.zeros((*cells.active[k].shape, 2))
+        if k < cells.problem.stages - 1:
+            axes, values = self._axes(k + 1), self.policy.values[k + 1]
+            # On the lines of `ridge`, positions at rest of the next stage and all that lead there.
+            span = 0.5 * cells.problem.step * np.abs(axes[G_W])
+            line = np.linspace(axes[G_C] - span, self.policy.grid.c_hi[k + 1] + span, 2 * values.shape[0])
+            least, fastest = np.empty(line.size), np.empty(line.size)
+            ridge(values, axes, cells.problem.step, line, least, fastest)
+            follow(
+                cells.model[k], cells.lattice[k], cells.edges[k], cells.cylinder, cells.problem.step, values, axes,
+                line, least, fastest, found,
+            )  # fmt: skip
+            row, column = self._nearest(cells, k)
+            found = np.ascontiguousarray(found[row[:, None], column])
+        charge(
+            cells.model[k], cells.lattice[k], cells.edges[k], cells.cylinder, cells.setting, cells.fixed[k],
+            cells.active[k], found,
+        )  # fmt: skip
+        return found
+
+    def _axes(self, k: int) -> np.ndarray:
         grid = self.policy.grid
-        position = lattice[L_C] + (lattice[L_I] + np.arange(shape[0] + 1)) * lattice[L_DC]
-        velocity = lattice[L_W] + (lattice[L_J] + np.arange(shape[1] + 1)) * lattice[L_DW]
         length, speed = max(grid.c_hi[k] - grid.c_lo[k], 1e-9), grid.w_hi[k] - grid.w_lo[k]
-        nodes = np.meshgrid(
-            (position - grid.c_lo[k]) / length * (grid.positions - 1),
-            (velocity - grid.w_lo[k]) / speed * (grid.velocities - 1),
-            indexing="ij",
-        )
-        corner = ndimage.map_coordinates(self.policy.values[k].astype(float), nodes, order=1, mode="nearest")
-        edge_c, edge_w = np.diff(corner, axis=0), np.diff(corner, axis=1)
-        along_c = 0.5 * (edge_c[:, 1:] + edge_c[:, :-1]) / lattice[L_DC]
-        along_w = 0.5 * (edge_w[1:] + edge_w[:-1]) / lattice[L_DW]
-        row, column = self._nearest(k, (position - lattice[L_C]) / length, velocity)
-        return along_c[row[:, None], column], along_w[row[:, None], column]
+        return np.array([grid.c_lo[k], length / (grid.positions - 1), grid.w_lo[k], speed / (grid.velocities - 1)])
 
-    def _nearest(self, k: int, share: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """For every cell the nearest that keeps the margin: rows, (rows,), and columns, (rows, columns).
-
-        `share` and `velocity` are the edges of the cells: shares of the feasible extensions, and [m/s].
-        """
-        grid = self.policy.grid
-        apart = MARGIN / (grid.positions - 1)
-        aside = MARGIN * (grid.w_hi[k] - grid.w_lo[k]) / (grid.velocities - 1)
+    def _nearest(self, cells: Cells, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """For every cell the nearest that keeps the margin: rows, (rows,), and columns, (rows, columns)."""
+        axes, edges = self._axes(k), cells.edges[k]
+        share = (cells.lattice[k, L_I] + np.arange(edges.shape[0] + 1)) / cells.positions
+        apart = MARGIN / (self.policy.grid.positions - 1)
         below, above = share[:-1] - apart, share[1:] + apart
-        low = np.where(below < 0.0, np.inf, self.viable.within(k, below, below)[0]) + aside
-        high = np.where(above > 1.0, -np.inf, self.viable.within(k, above, above)[1]) - aside
-        first = np.searchsorted(velocity[:-1], low - 1e-9)
-        last = np.searchsorted(velocity[1:], high + 1e-9, side="right") - 1
-        keeps = np.nonzero(first <= last)[0]
-        rows, columns = np.arange(low.size), np.arange(velocity.size - 1)
-        if keeps.size == 0:
+        low = np.where(below < 0.0, np.inf, self.viable.within(k, below, below)[0]) + MARGIN * axes[G_DW]
+        high = np.where(above > 1.0, -np.inf, self.viable.within(k, above, above)[1]) - MARGIN * axes[G_DW]
+        keeps = (edges[:, :-1] >= low[:, None] - 1e-9) & (edges[:, 1:] <= high[:, None] + 1e-9)
+        some = np.nonzero(keeps.any(axis=1))[0]
+        rows, columns = np.arange(keeps.shape[0]), np.arange(keeps.shape[1])
+        if some.size == 0:
             return rows, np.tile(columns, (rows.size, 1))
-        row = keeps[np.abs(keeps[None, :] - rows[:, None]).argmin(axis=1)]
+        row = some[np.abs(some[None, :] - rows[:, None]).argmin(axis=1)]
+        first, last = keeps.argmax(axis=1), columns.size - 1 - keeps[:, ::-1].argmax(axis=1)
         return row, np.clip(columns[None, :], first[row, None], last[row, None])
 
 
 def make(problem: Problem, cost: str, viable: Viable) -> Guide:
     """The guide of a problem: solve it on a grid."""
     return Guide(dp.solve(problem, stages.full_grid(problem, *GRID), cost), viable)
+
+
+def memory(problem: Problem) -> float:
+    """Bytes that making the guide of a problem takes."""
+    return dp.memory(problem.stages, *GRID)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def value_at(values, axes, c, w):
+    """Values at a state, linear between the nodes; beyond them as at the nearest."""
+    x = min(max((c - axes[G_C]) / axes[G_DC], 0.0), values.shape[0] - 1.0)
+    y = min(max((w - axes[G_W]) / axes[G_DW], 0.0), values.shape[1] - 1.0)
+    i, j = min(int(x), values.shape[0] - 2), min(int(y), values.shape[1] - 2)
+    x, y = x - i, y - j
+    below = (1.0 - x) * values[i, j] + x * values[i + 1, j]
+    return (1.0 - y) * below + y * ((1.0 - x) * values[i, j + 1] + x * values[i + 1, j + 1])
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def ridge(values, axes, step, line, least, fastest):
+    """Least values ahead whatever the next velocity: along c' = s + step w' / 2 for every s, where s = c + step w / 2.
+
+    Args:
+        values: Cost to go of the next stage [J], (positions, velocities).
+        axes: Its nodes, (AXES,).
+        step: Length of a stage [s].
+        line: Values of s [m], equally spaced, each leading to some node's position, (any number,).
+        least: Out: least value [J].
+        fastest: Out: next velocity there [m/s].
+    """
+    end = axes[G_C] + (values.shape[0] - 1) * axes[G_DC]
+    for q in range(line.size):
+        least[q], fastest[q] = np.inf, 0.0
+        for j in range(values.shape[1]):
+            w = axes[G_W] + j * axes[G_DW]
+            c = line[q] + 0.5 * step * w
+            if axes[G_C] - ON_LIMIT <= c <= end + ON_LIMIT:
+                value = value_at(values, axes, c, w)
+                if value < least[q]:
+                    least[q], fastest[q] = value, w
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def ahead(values, axes, step, line, least, fastest, c, w, lo, hi):
+    """Least value ahead of a state whose acceleration is between lo and hi, the ridge followed where it is in reach."""
+    s = c + 0.5 * step * w
+    x = min(max((s - line[0]) / (line[1] - line[0]), 0.0), line.size - 1.0)
+    q = min(int(x), line.size - 2)
+    share = x - q
+    target = fastest[q] if share < 0.5 else fastest[q + 1]
+    if w + step * lo <= target <= w + step * hi:
+        return (1.0 - share) * least[q] + share * least[q + 1]
+    target = min(max(target, w + step * lo), w + step * hi)
+    return value_at(values, axes, s + 0.5 * step * target, target)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def follow(model, here, edges, cylinder, step, values, axes, line, least, fastest, slope):
+    """Slopes over a stage's cells of what follows after the stage, `slope` (rows, columns, 2) [J/m], [J s/m]."""
+    coefficients = np.empty((model.shape[1], COEFFICIENTS, 3))
+    half_c = 0.5 * here[L_DC]
+    for p in range(slope.shape[0]):
+        expand(model, p, coefficients)
+        c = here[L_C] + (here[L_I] + p + 0.5) * here[L_DC]
+        for r in range(slope.shape[1]):
+            w, half = 0.5 * (edges[p, r + 1] + edges[p, r]), max(0.5 * (edges[p, r + 1] - edges[p, r]), THIN)
+            lo, hi = cell_accelerations(coefficients, cylinder, w, 0.0)
+            rise = ahead(values, axes, step, line, least, fastest, c + half_c, w, lo, hi)
+            rise -= ahead(values, axes, step, line, least, fastest, c - half_c, w, lo, hi)
+            slope[p, r, 0] = 0.5 * rise / half_c
+            rise = ahead(values, axes, step, line, least, fastest, c, w + half, lo, hi)
+            rise -= ahead(values, axes, step, line, least, fastest, c, w - half, lo, hi)
+            slope[p, r, 1] = 0.5 * rise / half
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def charge(model, here, edges, cylinder, setting, fixed, active, slope):
+    """Add the slopes of the stage's own cost over its cells to those of what follows.
+
+    The flow of a cylinder that turns round within the cell has a kink. Of its slopes there the one is taken with
+    which a motion gains nothing by leaving the kink: slope_w + step / 2 slope_c = 0, as far as it has it.
+
+    Args:
+        model, here, edges, cylinder, setting, fixed, active: As in `bounds.cells`.
+        slope: Changed in place: along position [J/m] and velocity [J s/m], (rows, columns, 2).
+    """
+    n = model.shape[1]
+    coefficients, motion, sigma = np.empty((n, COEFFICIENTS, 3)), np.zeros((n, MOTION)), np.zeros(n)
+    forms, middle = np.zeros((n + 1, FORM)), np.zeros((2, 3))
+    half_c, half_step, rate = 0.5 * here[L_DC], 0.5 * setting[STEP], setting[STEP] / setting[EFFICIENCY]
+    for p in range(slope.shape[0]):
+        expand(model, p, coefficients)
+        for r in range(slope.shape[1]):
+            w, half = 0.5 * (edges[p, r + 1] + edges[p, r]), max(0.5 * (edges[p, r + 1] - edges[p, r]), THIN)
+            lo, hi = cell_motion(coefficients, cylinder, setting, w, half, motion)
+            if active[p, r] == np.inf or not lo <= hi:
+                continue
+            flow, flow_t, flow_x, _, _ = cell_flow(motion, cylinder, half, fixed[0], sigma)
+            u = min(max(0.0, lo), hi)
+            best = 0
+            for q in range(supply_forms(motion, setting, fixed[1], u, u, u, middle, forms)):
+                if forms[q, 0] > forms[best, 0]:
+                    best = q
+            supply, supply_t, supply_x, supply_y = forms[best]
+            # Without what supply owes to accelerating, which the stage before owes as much to arriving.
+            along_c = slope[p, r, 0] + rate * (flow * supply_t + flow_t * supply) / half_c
+            along_w = slope[p, r, 1] + rate * (flow * (supply_x + supply_y) + flow_x * supply)
+            for m in range(n):
+                turn_c, turn_w = rate * supply * motion[m, V_T] / half_c, rate * supply * motion[m, V_X]
+                if motion[m, V_SIDE] == 0.0 and half_step * turn_c + turn_w != 0.0:
+                    share = -(half_step * along_c + along_w) / (half_step * turn_c + turn_w)
+                    share = min(max(share, -cylinder[m, AREA_IN] - sigma[m]), cylinder[m, AREA_OUT] - sigma[m])
+                    along_c += share * turn_c
+                    along_w += share * turn_w
+            slope[p, r, 0], slope[p, r, 1] = along_c, along_w - rate * flow * supply_y
+
+
+def prepare() -> None:
+    """Load the compiled kernels, compiling them on the very first run."""
+    model, one, line = np.zeros((1, 1, COEFFICIENTS, 4)), np.zeros((1, 1)), np.arange(2.0)
+    values, axes, edges, slope = (
+        np.zeros((2, 2), dtype=np.float32),
+        np.ones(AXES),
+        np.zeros((1, 2)),
+        np.zeros((1, 1, 2)),
+    )
+    cylinder, setting, lattice = np.ones((1, CYLINDER_COLUMNS)), np.ones(SETTINGS), np.ones(LATTICE)
+    ridge(values, axes, 1.0, line, np.zeros(2), np.zeros(2))
+    follow(model, lattice, edges, cylinder, 1.0, values, axes, line, np.zeros(2), np.zeros(2), slope)
+    charge(model, lattice, edges, cylinder, setting, np.zeros(2), one, slope)

@@ -30,9 +30,10 @@ CLOSED_LOOP = ("driven_ls_j", "driven_cp_j", "accuracy_ls_m", "accuracy_cp_m")  
 SOLVED = "solved"  # folder of the solutions
 # Modules that present results or do what no experiment does: their sources have no part in a solution.
 APART = (
-    "bounds", "cells", "certificate", "charts", "cli", "comparison", "continuation", "enclosure", "experiments",
-    "figures", "guide", "horizon", "incumbent", "inspection", "jobs", "lookahead", "printed", "proofs", "replanning",
-    "report", "reproduction", "results", "runfolder", "simulation_page", "tables", "variations", "viability", "writing",
+    "bounds", "cells", "cellwise", "certificate", "charts", "cli", "comparison", "continuation", "enclosure",
+    "experiments", "figures", "guide", "horizon", "incumbent", "inspection", "jobs", "lookahead", "printed", "proofs",
+    "replanning", "report", "reproduction", "results", "runfolder", "simulation_page", "tables", "variations",
+    "viability", "writing",
 )  # fmt: skip
 
 Progress = Callable[[str, float], None]

@@ -13,8 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from leanboom import bounds
-from leanboom.bounds import COEFFICIENTS, L_C, L_DC, ON_LIMIT
+from leanboom import cellwise
+from leanboom.bounds import ON_LIMIT
+from leanboom.cellwise import L_C, L_DC
+from leanboom.kernels import COEFFICIENTS
 
 BINS = 8  # bins of position in a cell of the first level
 STRIPS = 8  # parts of the velocity range, over each of which the acceleration limits are enclosed
@@ -45,7 +47,7 @@ def find(
     """The viable velocities of every stage.
 
     Args:
-        lattice: Where the cells of the first level are, (stages + 1, bounds.LATTICE); windows are whole stages.
+        lattice: Where the cells of the first level are, (stages + 1, cellwise.LATTICE); windows are whole stages.
         model: Enclosures of the coefficients over position cells, (rows, moving, COEFFICIENTS, 4) a stage.
         columns: Velocities of each row that keep the velocity limits [m/s], (rows, 2) a stage.
         cylinder: (moving, kernels.CYLINDER_COLUMNS).
@@ -104,12 +106,12 @@ def stage(model, cylinder, step, here, there, columns, low_ahead, high_ahead, lo
     width, width_ahead = here[L_DC] / bins, there[L_DC] / bins
     mirrored, bottom = -high_ahead[::-1], -there[L_C] - width_ahead * high_ahead.size
     for p in range(rows):
-        bounds.expand(model, p, coefficients)
+        cellwise.expand(model, p, coefficients)
         slowest, fastest = columns[p, 0], columns[p, 1]
         half = 0.5 * (fastest - slowest) / STRIPS
         down, up = np.inf, -np.inf
         for q in range(STRIPS):
-            lo, hi = bounds.cell_accelerations(coefficients, cylinder, slowest + half * (2 * q + 1), half)
+            lo, hi = cellwise.cell_accelerations(coefficients, cylinder, slowest + half * (2 * q + 1), half)
             down, up = min(down, lo), max(up, hi)
         for b in range(p * bins, (p + 1) * bins):
             c = here[L_C] + b * width

@@ -1,0 +1,66 @@
+"""Edges of cells: on the velocities at which cylinders begin to be driven, and no state falls between two levels."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from leanboom import cells, cellwise, load_task, stages
+from leanboom import crane as cranes
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return stages.discretise(replace(load_task("loader-triangle-small"), start="smallest"), 0.5)
+
+
+def nominal(kept: cells.Cells, k: int) -> np.ndarray:
+    lattice = kept.lattice[k]
+    return lattice[cellwise.L_W] + (lattice[cellwise.L_J] + np.arange(kept.edges[k].shape[1])) * lattice[cellwise.L_DW]
+
+
+def test_constant_pressure_leaves_the_lattice(problem):
+    kept = cells.whole(problem, "cp")
+    for k in range(problem.stages):
+        assert np.array_equal(kept.edges[k], np.tile(nominal(kept, k), (kept.positions, 1)))
+
+
+def test_moved_edges_are_where_cylinders_surely_begin_to_be_driven(problem, rng):
+    """Against the crane's own velocities at random positions of the row."""
+    kept = cells.whole(problem, "ls")
+    threshold = problem.crane.machine.driven_velocity
+    moved = 0
+    for k in range(0, problem.stages, 5):
+        lattice, edges = kept.lattice[k], kept.edges[k]
+        shift = edges - nominal(kept, k)
+        assert np.all(np.diff(edges, axis=1) > 0.0)
+        assert np.abs(shift).max() <= cellwise.SNAP * lattice[cellwise.L_DW]
+        for p, r in rng.permutation(np.argwhere(np.abs(shift) > 1e-12))[:20]:
+            c = lattice[cellwise.L_C] + (p + np.linspace(0.0, 1.0, 9)) * lattice[cellwise.L_DC]
+            pose = cranes.pose(problem.crane, problem.plane[np.full(9, k)], c)
+            speeds = [
+                np.abs(cranes.move(pose, edges[p, r], 0.0).velocity[i])
+                for i in range(len(problem.crane.machine.cylinders))[problem.moving]
+            ]
+            moved += 1
+            # Some cylinder is beyond its threshold all over the row, and hardly so somewhere.
+            assert any(np.all(v > threshold) and v.min() < 1.2 * threshold for v in speeds)
+    assert moved > 50
+
+
+@pytest.mark.parametrize("pump", ["cp", "ls"])
+def test_smaller_cells_hold_every_state_of_the_cells_kept(problem, rng, pump):
+    kept = cells.whole(problem, pump)
+    for _ in range(2):
+        excess = tuple(np.where(rng.random(a.shape) < 0.05, 0.0, np.inf) for a in kept.active)
+        finer = cells.refine(kept, excess)
+        for k in range(problem.stages):
+            for p, r in rng.permutation(np.argwhere(np.isfinite(excess[k])))[:40]:
+                slow, fast = kept.edges[k][p, r : r + 2]
+                w = slow + (fast - slow) * rng.random()
+                c = kept.lattice[k, cellwise.L_I] + p + rng.random()
+                row = int(2.0 * c) - int(finer.lattice[k, cellwise.L_I])
+                column = int(np.searchsorted(finer.edges[k][row], w)) - 1
+                assert finer.active[k][row, column] == 0.0
+        assert finer.count < 6 * 0.06 * kept.positions * kept.velocities * problem.stages * 4
+        kept = finer

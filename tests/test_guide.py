@@ -1,0 +1,139 @@
+"""Slopes from a policy: of what follows and of the stage's cost, exact on kinks; the end of the stroke is seen."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import RegularGridInterpolator
+
+import slow_bounds
+from leanboom import cells, certify, guide, incumbent, load_task, stages
+from slow_bounds import quiet
+
+REACH = 0.6  # of a cell, how far from its middle differences are taken
+
+
+@pytest.fixture(scope="module")
+def loader():
+    """The medium triangle from the retracted telescope, coarsely, its cells and a guide."""
+    task = replace(load_task("loader-triangle-medium"), start="smallest")
+    problem = stages.discretise(task, 0.25)
+    kept = cells.whole(problem, "cp")
+    return problem, kept, guide.make(problem, "cp", kept.viable)
+
+
+def test_guided_bounds_see_the_end_of_the_stroke_and_stay_below_every_motion(loader):
+    problem, kept, known = loader
+    start = float(problem.lower[0])
+    guided = cells.bound(kept, start, quiet, known.slopes)
+    assert guided.lower > 1.01 * cells.bound(kept, start, quiet).lower
+    # Nor above a policy's motion, stage by stage.
+    moving = guide.dp.rollout(known.policy, start)
+    measured = incumbent.measure(problem, moving, "cp")
+    assert measured.keeps_limits
+    assert guided.lower <= measured.energy
+    assert cells.residuals(guided, moving, measured.costs).min() >= -1e-9 * measured.energy
+
+
+def test_the_ridge_is_the_least_value_of_every_line(rng):
+    values = rng.uniform(0.0, 10.0, (7, 5)).astype(np.float32)
+    axes, step = np.array([1.0, 0.1, -0.4, 0.2]), 0.3
+    line = np.linspace(1.0 - 0.5 * step * 0.4, 1.6 + 0.5 * step * 0.4, 30)
+    least, fastest = np.empty(30), np.empty(30)
+    guide.ridge(values, axes, step, line, least, fastest)
+    at = RegularGridInterpolator((1.0 + 0.1 * np.arange(7), -0.4 + 0.2 * np.arange(5)), values.astype(float))
+    for s, value, w in zip(line, least, fastest, strict=True):
+        tried = -0.4 + 0.2 * np.arange(5)
+        c = s + 0.5 * step * tried
+        inside = (c >= 1.0 - 1e-9) & (c <= 1.6 + 1e-9)
+        twin = at(np.stack([np.clip(c[inside], 1.0, 1.6), tried[inside]], axis=1))
+        assert value == pytest.approx(twin.min(), abs=1e-6)
+        assert w == pytest.approx(tried[inside][twin.argmin()])
+
+
+def given_values(known, k, values):
+    """The guide with other values at a stage: a function of position above the lower end, and of velocity."""
+    grid = known.policy.grid
+    c = np.linspace(0.0, grid.c_hi[k] - grid.c_lo[k], grid.positions)
+    w = np.linspace(grid.w_lo[k], grid.w_hi[k], grid.velocities)
+    changed = known.policy.values.copy()
+    changed[k] = values(c[:, None], w[None, :])
+    return replace(known, policy=replace(known.policy, values=changed))
+
+
+@pytest.mark.parametrize("pump", ["cp", "ls"])
+def test_slopes_are_those_of_the_least_cost_to_go(loader, pump):
+    """Against differences of stage cost plus values ahead, least over all accelerations, where nothing has a kink."""
+    problem, _, known = loader
+    kept, k = cells.whole(problem, pump), 40
+
+    def values(above, w):
+        return 3e4 * (above - 0.3) ** 2 + 2e4 * (w - 0.05) ** 2
+
+    found = given_values(known, k + 1, values).slopes(kept, k)
+    limit, step = problem.crane.machine.redundant.acceleration_limit, problem.step
+    u = np.linspace(-limit, limit, 1001)
+
+    def least(c, w):
+        cost, used = slow_bounds.rates(problem, pump, k, c, w, u)
+        total = cost + values(c + step * (w + 0.5 * step * u) - problem.lower[k + 1], w + step * u)
+        return np.min(total[used <= 1.0])
+
+    lattice, middles, compared = kept.lattice[k], kept.middles(k), 0
+    width = lattice[1]
+    row, column = known._nearest(kept, k)  # noqa: SLF001
+    for p in range(40, 120, 27):
+        c = lattice[0] + (p + 0.5) * width
+        for r in np.nonzero((column[p] == np.arange(middles.shape[1])) & (row[p] == p))[0]:
+            w, high = middles[p, r], kept.edges[k][p, r + 1] - kept.edges[k][p, r]
+            share = (-REACH, 0.0, REACH)
+            tried = np.array([[least(c + a * width, w + b * high) for b in share] for a in share])
+            if max(np.abs(np.diff(tried, 2, axis=axis)).max() for axis in (0, 1)) > 0.1 * (np.ptp(tried) + 1.0):
+                continue  # a kink or a jump
+            compared += 1
+            rise = (tried[2, 1] - tried[0, 1], tried[1, 2] - tried[1, 0])
+            assert found[p, r] * (width, high) * 2.0 * REACH == pytest.approx(rise, abs=0.05 * np.ptp(tried))
+    assert compared > 20
+
+
+def test_riding_on_a_kink_of_flow_is_exact(loader):
+    """In a cell where a cylinder turns round nothing is gained across, or its slope is at its bound."""
+    problem, kept, known = loader
+    k, turning, exact = 40, 0, 0
+    found = given_values(known, k + 1, lambda above, w: 4e4 * above + 0.0 * w).slopes(kept, k)
+    across = found[..., 1] + 0.5 * problem.step * found[..., 0]
+    for p in range(20, 150, 10):
+        change = np.sign(across[p])
+        # The slope across rises with the velocity as flow is convex; where it passes zero it does so on a kink.
+        passing = np.nonzero(np.abs(across[p]) < 1e-6 * np.abs(found[p, :, 1]).max())[0]
+        turning += bool((change > 0).any() and (change < 0).any())
+        exact += bool(passing.size)
+    assert turning >= 5
+    assert exact >= turning // 2
+
+
+def test_beside_lost_states_the_nearest_cells_with_a_margin_are_taken(loader):
+    problem, kept, known = loader
+    k = 10
+    row, column = known._nearest(kept, k)  # noqa: SLF001
+    apart = guide.MARGIN / (known.policy.grid.positions - 1)
+    first = int(np.ceil(apart * kept.positions - 1e-9))
+    assert row[: first + 1].tolist() == [first] * (first + 1)
+    assert row[first + 1] == first + 1
+    low = known.viable.low[k]
+    assert np.all(kept.edges[k][row[:, None], column] >= low[-1] - 1e-9)
+    assert np.array_equal(column[kept.positions // 2], np.clip(column[kept.positions // 2], 0, kept.velocities - 1))
+
+
+@pytest.mark.parametrize(("gap", "guided"), [(99.0, False), (1e-3, True)])
+def test_a_guide_is_asked_where_the_first_bound_does_not_do(monkeypatch, gap, guided):
+    plain, asked = cells.bound, []
+
+    def watched(kept, begin, clock, given=None):
+        asked.append(given)
+        return plain(kept, begin, clock, given)
+
+    monkeypatch.setattr(cells, "bound", watched)
+    proof = certify(load_task("forwarder-vertical", start="smallest"), "cp", step=0.1, gap=gap, seconds=20.0)
+    assert any(given is not None for given in asked) == guided
+    assert 0.0 < proof.lower_bound_j <= proof.energy_j
