@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 import slow_bounds
-from leanboom import InputError, LeanboomError, cells, certify, incumbent, load_task, motion, stages
+from leanboom import InfeasibleError, InputError, LeanboomError, cells, certify, incumbent, load_task, motion, stages
 from leanboom.cli import app
 from leanboom.machine import Pump
 from leanboom.task import Lines, Task
@@ -154,6 +154,11 @@ def test_a_motion_of_another_start_or_duration_is_refused():
     short = motion.from_velocities(0.5, start, np.zeros(9), "test", "cp")
     with pytest.raises(InputError, match="motion takes 4 s; the task takes 6 s"):
         certify(task, "cp", motion=short)
+
+
+def test_stages_too_long_for_the_limits_are_named():
+    with pytest.raises(InfeasibleError, match=r"at the start of a stage of 0.25 s.*a shorter one"):
+        certify(replace(load_task("forwarder-vertical"), start="smallest"), "cp", step=0.25)
 
 
 def test_an_efficiency_map_is_refused():

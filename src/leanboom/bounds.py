@@ -256,7 +256,9 @@ def cells(  # noqa: PLR0913
     sigma, turn = np.zeros(n), np.zeros(2)
     rate = step / setting[EFFICIENCY]
     dc, half_c = here[L_DC], 0.5 * here[L_DC]
-    next_dc, next_dw, next_half = there[L_DC], there[L_DW], (0.5 + SNAP) * there[L_DW]
+    # Edges off the lattice: only where power jumps.
+    off = SNAP if int(setting[COST]) == LS else 0.0
+    next_dc, next_dw, next_half = there[L_DC], there[L_DW], (0.5 + off) * there[L_DW]
     i_ahead, j_ahead = int(there[L_I]), int(there[L_J])
     inverse = 1.0 / half_c
     lead = 0
@@ -280,8 +282,8 @@ def cells(  # noqa: PLR0913
                 f0, ft, fx, loose_t, loose_x = cell_flow(motion, cylinder, half, fixed[0], sigma)
                 slowest, fastest = w + whole[0, 1] + step * lo, w + whole[1, 1] + step * hi
                 if next_dw > 0.0:
-                    j_first = int(np.floor((slowest - there[L_W]) / next_dw - SNAP))
-                    j_last = int(np.floor((fastest - there[L_W]) / next_dw + SNAP))
+                    j_first = int(np.floor((slowest - there[L_W]) / next_dw - off))
+                    j_last = int(np.floor((fastest - there[L_W]) / next_dw + off))
                 else:
                     j_first, j_last = 0, (0 if slowest <= there[L_W] <= fastest else -1)
                 j_first, j_last = max(j_first, int(there[L_J])), min(j_last, int(there[L_J]) + ahead.shape[1] - 1)

@@ -9,7 +9,7 @@ whose excess is small enough and halves them in both directions. See `docs/certi
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -184,9 +184,15 @@ def bound(
     n = cells.problem.stages
     planes: list[np.ndarray] = [np.empty(0)] * n + [np.zeros((cells.positions, 1, 4))]
     with _Pool(cells) as pool:
+        given = pool.later(guide, n - 1)
         for k in range(n - 1, -1, -1):
             check(1.0 - (k + 1) / n)
-            planes[k] = _planes(pool, k, planes[k + 1]) if guide is None else _guided(pool, k, planes[k + 1], guide)
+            slopes_of, given = given, pool.later(guide, k - 1)
+            planes[k] = (
+                _planes(pool, k, planes[k + 1])
+                if slopes_of is None
+                else _guided(pool, k, planes[k + 1], slopes_of.result())
+            )
     return Bounds(cells, tuple(planes), _at_start(cells, planes[0], start))
 
 
@@ -211,11 +217,11 @@ def _planes(pool: _Pool, k: int, ahead: np.ndarray) -> np.ndarray:
     return here
 
 
-def _guided(pool: _Pool, k: int, ahead: np.ndarray, guide: GivenSlopes) -> np.ndarray:
-    """Planes of a stage with the slopes of a guide, and a floor to each."""
-    cells, active = pool.cells, pool.cells.active[k]
+def _guided(pool: _Pool, k: int, ahead: np.ndarray, given: np.ndarray) -> np.ndarray:
+    """Planes of a stage with given slopes, (rows, columns, 2), and a floor to each."""
+    active = pool.cells.active[k]
     here = np.zeros((*active.shape, 4))
-    here[..., 1:3] = guide(cells, k)
+    here[..., 1:3] = given
     here[..., 0] = pool.run(bounds.PLANE, k, active, here, ahead)
     reached = np.isfinite(here[..., 0])
     flat = pool.run(bounds.PLANE, k, np.where(reached, 0.0, np.inf), np.zeros_like(here), ahead)
@@ -399,6 +405,10 @@ class _Pool:
 
     def __exit__(self, *_: object) -> None:
         self.pool.shutdown()
+
+    def later(self, guide: GivenSlopes | None, k: int) -> Future[np.ndarray] | None:
+        """Slopes that a guide gives for a stage, made while others are bounded; None without guide or stage."""
+        return None if guide is None or k < 0 else self.pool.submit(guide, self.cells, k)
 
     def run(self, kind: int, k: int, active, planes, ahead) -> np.ndarray:
         """Values of the cells of stage k by a backward pass of a kind, inf where there are none."""

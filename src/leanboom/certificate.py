@@ -132,7 +132,10 @@ def certify(
         problem, incumbent.measure(problem, stages.on_stages(problem, motion), pump), pump, start is None
     )
     if not best.keeps_limits:
-        raise InfeasibleError("the motion breaks a limit of the discretised problem; plan it with the same step")
+        raise InfeasibleError(
+            f"the motion breaks a limit at the start of a stage of {problem.step:.4g} s: so long stages may be too "
+            "coarse for this task; plan and certify with one step, and a shorter one"
+        )
     levels, reason = _bound(problem, pump, start, best, began, seconds, gap, tell)
     tell("done", 1.0)
     return Certificate(

@@ -73,10 +73,8 @@ class Guide:
             ridge(values, axes, cells.problem.step, line, least, fastest)
             follow(
                 cells.model[k], cells.lattice[k], cells.edges[k], cells.cylinder, cells.problem.step, values, axes,
-                line, least, fastest, found,
+                line, least, fastest, cells.active[k], *self._nearest(cells, k), found,
             )  # fmt: skip
-            row, column = self._nearest(cells, k)
-            found = np.ascontiguousarray(found[row[:, None], column])
         charge(
             cells.model[k], cells.lattice[k], cells.edges[k], cells.cylinder, cells.setting, cells.fixed[k],
             cells.active[k], found,
@@ -166,15 +164,29 @@ def ahead(values, axes, step, line, least, fastest, c, w, lo, hi):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def follow(model, here, edges, cylinder, step, values, axes, line, least, fastest, slope):
-    """Slopes over a stage's cells of what follows after the stage, `slope` (rows, columns, 2) [J/m], [J s/m]."""
+def follow(  # noqa: PLR0913
+    model, here, edges, cylinder, step, values, axes, line, least, fastest, active, row, column, slope
+):
+    """Slopes over a stage's cells of what follows after the stage.
+
+    Args:
+        model, here, edges, cylinder, active: As in `bounds.cells`.
+        step: Length of a stage [s].
+        values, axes: Cost to go of the next stage [J], (positions, velocities), and its nodes, (AXES,).
+        line, least, fastest: As in `ridge`.
+        row, column: Cell of the stage where the slopes of a cell are taken, (rows,) and (rows, columns).
+        slope: Out: along position [J/m] and velocity [J s/m], (rows, columns, 2).
+    """
     coefficients = np.empty((model.shape[1], COEFFICIENTS, 3))
     half_c = 0.5 * here[L_DC]
     for p in range(slope.shape[0]):
-        expand(model, p, coefficients)
-        c = here[L_C] + (here[L_I] + p + 0.5) * here[L_DC]
+        expand(model, row[p], coefficients)
+        c = here[L_C] + (here[L_I] + row[p] + 0.5) * here[L_DC]
         for r in range(slope.shape[1]):
-            w, half = 0.5 * (edges[p, r + 1] + edges[p, r]), max(0.5 * (edges[p, r + 1] - edges[p, r]), THIN)
+            if active[p, r] == np.inf:
+                continue
+            slow, fast = edges[row[p], column[p, r]], edges[row[p], column[p, r] + 1]
+            w, half = 0.5 * (fast + slow), max(0.5 * (fast - slow), THIN)
             lo, hi = cell_accelerations(coefficients, cylinder, w, 0.0)
             rise = ahead(values, axes, step, line, least, fastest, c + half_c, w, lo, hi)
             rise -= ahead(values, axes, step, line, least, fastest, c - half_c, w, lo, hi)
@@ -237,5 +249,8 @@ def prepare() -> None:
     )
     cylinder, setting, lattice = np.ones((1, CYLINDER_COLUMNS)), np.ones(SETTINGS), np.ones(LATTICE)
     ridge(values, axes, 1.0, line, np.zeros(2), np.zeros(2))
-    follow(model, lattice, edges, cylinder, 1.0, values, axes, line, np.zeros(2), np.zeros(2), slope)
+    none = np.zeros((1, 1), dtype=int)
+    follow(
+        model, lattice, edges, cylinder, 1.0, values, axes, line, np.zeros(2), np.zeros(2), one, none[0], none, slope
+    )
     charge(model, lattice, edges, cylinder, setting, np.zeros(2), one, slope)
