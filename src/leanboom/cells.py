@@ -187,12 +187,9 @@ def bound(
         given = pool.later(guide, n - 1)
         for k in range(n - 1, -1, -1):
             check(1.0 - (k + 1) / n)
-            slopes_of, given = given, pool.later(guide, k - 1)
-            planes[k] = (
-                _planes(pool, k, planes[k + 1])
-                if slopes_of is None
-                else _guided(pool, k, planes[k + 1], slopes_of.result())
-            )
+            here, given = given, pool.later(guide, k - 1)
+            ahead = planes[k + 1]
+            planes[k] = _planes(pool, k, ahead) if here is None else _guided(pool, k, ahead, here.result())
     return Bounds(cells, tuple(planes), _at_start(cells, planes[0], start))
 
 
@@ -313,8 +310,9 @@ def refine(cells: Cells, excess: tuple[np.ndarray, ...]) -> Cells | None:
         if rows.size == 0:
             return None
         # Edges of both levels are moved, by less than half a cell each: a neighbour may take over a strip.
-        first, last = max(columns[0] - 1, 0), min(columns[-1] + 1, kept[k].shape[1] - 1)
-        corner[k] = 2 * (cells.lattice[k, L_I:].astype(int) + (rows[0], first))
+        origin = cells.lattice[k, L_I:].astype(int)
+        first, last = max(origin[1] + columns[0] - 1, 0), min(origin[1] + columns[-1] + 1, cells.velocities - 1)
+        corner[k] = 2 * (origin[0] + rows[0]), 2 * first
         shapes.append((2 * (rows[-1] - rows[0] + 1), 2 * (last - first + 1)))
     finer = _cut(cells.problem, cells.cost, 2 * cells.positions, 2 * cells.velocities, shapes, corner, cells.viable)
     return replace(finer, active=tuple(_within(cells, kept[k], finer, k) for k in range(cells.problem.stages)))
