@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 import slow_bounds
-from leanboom import cells, certify, guide, incumbent, load_task, stages
+from leanboom import cells, certify, guide, incumbent, kernels, load_task, stages
 from slow_bounds import quiet
 
 REACH = 0.6  # of a cell, how far from its middle differences are taken
@@ -37,10 +37,13 @@ def test_guided_bounds_see_the_end_of_the_stroke_and_stay_below_every_motion(loa
 
 def test_the_ridge_is_the_least_value_of_every_line(rng):
     values = rng.uniform(0.0, 10.0, (7, 5)).astype(np.float32)
-    axes, step = np.array([1.0, 0.1, -0.4, 0.2]), 0.3
+    step, stage, setting = 0.3, np.zeros((1, kernels.STAGE_COLUMNS)), np.zeros(kernels.SETTINGS)
+    for column, value in ((kernels.C_LO, 1.0), (kernels.DC, 0.1), (kernels.W_LO, -0.4), (kernels.DW, 0.2)):
+        stage[0, column] = value
+    setting[kernels.STEP] = step
     line = np.linspace(1.0 - 0.5 * step * 0.4, 1.6 + 0.5 * step * 0.4, 30)
     least, fastest = np.empty(30), np.empty(30)
-    guide.ridge(values, axes, step, line, least, fastest)
+    guide.ridge(values, stage, setting, 0, line, least, fastest)
     at = RegularGridInterpolator((1.0 + 0.1 * np.arange(7), -0.4 + 0.2 * np.arange(5)), values.astype(float))
     for s, value, w in zip(line, least, fastest, strict=True):
         tried = -0.4 + 0.2 * np.arange(5)

@@ -29,6 +29,7 @@ from leanboom.cellwise import (
     L_J,
     L_W,
     MOTION,
+    ON_LIMIT,
     P_BACK,
     P_E,
     P_GAIN,
@@ -65,7 +66,6 @@ enable_in_kernels()
 # What a pass over a stage's cells finds.
 MIDDLE, PLANE, FORWARD = range(3)
 
-ON_LIMIT = 1e-9  # [m], how far beyond a limit a position may lie, as for the feasible extensions
 # Rows of the forms of a transition: supply pressure candidates as constant, t, x, y.
 FORM = 4
 

@@ -47,6 +47,7 @@ LATTICE = 6
 V_M, V_T, V_X, V_E, V_SIDE = range(5)  # velocity: middle, slopes, error; direction: +1, -1, 0 unknown
 P_M, P_T, P_X, P_E, P_U, P_UT, P_UE, P_BACK, P_GAIN = range(5, 14)  # load along the motion, by acceleration; line
 MOTION = 14
+ON_LIMIT = 1e-9  # [m], how far beyond a limit a position may lie, as for the feasible extensions
 SNAP = 0.49  # of a cell's height, by how much an edge may be moved onto a threshold
 SOLVING = 3  # steps of the fixed point of a threshold
 CLEARANCE = 1e-9  # [m/s], beyond a threshold, for the rounding of what is compared with it

@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 
 from leanboom import dp, stages
-from leanboom.bounds import FORM, ON_LIMIT, cell_flow, supply_forms
+from leanboom.bounds import FORM, cell_flow, supply_forms
 from leanboom.cells import Cells
 from leanboom.cellwise import (
     L_C,
@@ -26,6 +26,7 @@ from leanboom.cellwise import (
     L_I,
     LATTICE,
     MOTION,
+    ON_LIMIT,
     V_SIDE,
     V_T,
     V_X,
@@ -34,16 +35,28 @@ from leanboom.cellwise import (
     expand,
 )
 from leanboom.dp import Policy
-from leanboom.kernels import AREA_IN, AREA_OUT, COEFFICIENTS, CYLINDER_COLUMNS, EFFICIENCY, SETTINGS, STEP
+from leanboom.kernels import (
+    AREA_IN,
+    AREA_OUT,
+    C_LO,
+    COEFFICIENTS,
+    CYLINDER_COLUMNS,
+    DW,
+    EFFICIENCY,
+    SETTINGS,
+    STAGE_COLUMNS,
+    STEP,
+    W_LO,
+    interpolate,
+    layer,
+    within,
+)
 from leanboom.stages import Problem
 from leanboom.viability import Viable
 
 GRID = (801, 201)  # positions and velocities of the policy
 MARGIN = 3.0  # spacings of that grid around a cell in which no state may be lost, for its slopes to be used
 THIN = 1e-6  # [m/s], least half height of a cell for differences over it
-# Entries of the axes of a stage's values: first and spacing of positions and of velocities.
-G_C, G_DC, G_W, G_DW = range(4)
-AXES = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,15 +78,15 @@ class Guide:
         """
         found = np.zeros((*cells.active[k].shape, 2))
         if k < cells.problem.stages - 1:
-            axes, values = self._axes(k + 1), self.policy.values[k + 1]
-            # On the lines of `ridge`, positions at rest of the next stage and all that lead there.
-            span = 0.5 * cells.problem.step * np.abs(axes[G_W])
-            line = np.linspace(axes[G_C] - span, self.policy.grid.c_hi[k + 1] + span, 2 * values.shape[0])
+            values, stage, setting = self.policy.values[k + 1], self.policy.tables.stage, cells.setting
+            # All lines c' - step w' / 2 that meet the nodes of the next stage.
+            span = 0.5 * setting[STEP] * abs(stage[k + 1, W_LO])
+            line = np.linspace(stage[k + 1, C_LO] - span, self.policy.grid.c_hi[k + 1] + span, 2 * values.shape[0])
             least, fastest = np.empty(line.size), np.empty(line.size)
-            ridge(values, axes, cells.problem.step, line, least, fastest)
+            ridge(values, stage, setting, k + 1, line, least, fastest)
             follow(
-                cells.model[k], cells.lattice[k], cells.edges[k], cells.cylinder, cells.problem.step, values, axes,
-                line, least, fastest, cells.active[k], *self._nearest(cells, k), found,
+                cells.model[k], cells.lattice[k], cells.edges[k], cells.cylinder, values, stage, setting, k + 1, line,
+                least, fastest, cells.active[k], *self._nearest(cells, k), found,
             )  # fmt: skip
         charge(
             cells.model[k], cells.lattice[k], cells.edges[k], cells.cylinder, cells.setting, cells.fixed[k],
@@ -81,19 +94,14 @@ class Guide:
         )  # fmt: skip
         return found
 
-    def _axes(self, k: int) -> np.ndarray:
-        grid = self.policy.grid
-        length, speed = max(grid.c_hi[k] - grid.c_lo[k], 1e-9), grid.w_hi[k] - grid.w_lo[k]
-        return np.array([grid.c_lo[k], length / (grid.positions - 1), grid.w_lo[k], speed / (grid.velocities - 1)])
-
     def _nearest(self, cells: Cells, k: int) -> tuple[np.ndarray, np.ndarray]:
         """For every cell the nearest that keeps the margin: rows, (rows,), and columns, (rows, columns)."""
-        axes, edges = self._axes(k), cells.edges[k]
+        edges, aside = cells.edges[k], MARGIN * self.policy.tables.stage[k, DW]
         share = (cells.lattice[k, L_I] + np.arange(edges.shape[0] + 1)) / cells.positions
         apart = MARGIN / (self.policy.grid.positions - 1)
         below, above = share[:-1] - apart, share[1:] + apart
-        low = np.where(below < 0.0, np.inf, self.viable.within(k, below, below)[0]) + MARGIN * axes[G_DW]
-        high = np.where(above > 1.0, -np.inf, self.viable.within(k, above, above)[1]) - MARGIN * axes[G_DW]
+        low = np.where(below < 0.0, np.inf, self.viable.within(k, below, below)[0]) + aside
+        high = np.where(above > 1.0, -np.inf, self.viable.within(k, above, above)[1]) - aside
         keeps = (edges[:, :-1] >= low[:, None] - 1e-9) & (edges[:, 1:] <= high[:, None] + 1e-9)
         some = np.nonzero(keeps.any(axis=1))[0]
         rows, columns = np.arange(keeps.shape[0]), np.arange(keeps.shape[1])
@@ -115,70 +123,59 @@ def memory(problem: Problem) -> float:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def value_at(values, axes, c, w):
-    """Values at a state, linear between the nodes; beyond them as at the nearest."""
-    x = min(max((c - axes[G_C]) / axes[G_DC], 0.0), values.shape[0] - 1.0)
-    y = min(max((w - axes[G_W]) / axes[G_DW], 0.0), values.shape[1] - 1.0)
-    i, j = min(int(x), values.shape[0] - 2), min(int(y), values.shape[1] - 2)
-    x, y = x - i, y - j
-    below = (1.0 - x) * values[i, j] + x * values[i + 1, j]
-    return (1.0 - y) * below + y * ((1.0 - x) * values[i, j + 1] + x * values[i + 1, j + 1])
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def ridge(values, axes, step, line, least, fastest):
+def ridge(values, stage, setting, k, line, least, fastest):
     """Least values ahead whatever the next velocity: along c' = s + step w' / 2 for every s, where s = c + step w / 2.
 
     Args:
-        values: Cost to go of the next stage [J], (positions, velocities).
-        axes: Its nodes, (AXES,).
-        step: Length of a stage [s].
+        values: Cost to go of stage k, the next one [J], (positions, velocities).
+        stage: The policy's stages, (stages + 1, STAGE_COLUMNS).
+        setting: Scalars, (SETTINGS,), without penalties.
+        k: The next stage.
         line: Values of s [m], equally spaced, each leading to some node's position, (any number,).
         least: Out: least value [J].
         fastest: Out: next velocity there [m/s].
     """
-    end = axes[G_C] + (values.shape[0] - 1) * axes[G_DC]
+    ahead = layer(values, stage, setting, k)
+    end = ahead.c_lo + (values.shape[0] - 1) * ahead.dc
     for q in range(line.size):
         least[q], fastest[q] = np.inf, 0.0
         for j in range(values.shape[1]):
-            w = axes[G_W] + j * axes[G_DW]
-            c = line[q] + 0.5 * step * w
-            if axes[G_C] - ON_LIMIT <= c <= end + ON_LIMIT:
-                value = value_at(values, axes, c, w)
+            w = ahead.w_lo + j * ahead.dw
+            c = line[q] + 0.5 * setting[STEP] * w
+            if ahead.c_lo - ON_LIMIT <= c <= end + ON_LIMIT:
+                value = interpolate(ahead, c, w)
                 if value < least[q]:
                     least[q], fastest[q] = value, w
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def ahead(values, axes, step, line, least, fastest, c, w, lo, hi):
-    """Least value ahead of a state whose acceleration is between lo and hi, the ridge followed where it is in reach."""
+def least_ahead(ahead, step, line, least, fastest, c, w, lo, hi):
+    """Least value ahead of a state whose acceleration is between lo and hi, on the ridge where it is in reach."""
     s = c + 0.5 * step * w
-    x = min(max((s - line[0]) / (line[1] - line[0]), 0.0), line.size - 1.0)
+    x = within((s - line[0]) / (line[1] - line[0]), line.size - 1.0)
     q = min(int(x), line.size - 2)
     share = x - q
     target = fastest[q] if share < 0.5 else fastest[q + 1]
     if w + step * lo <= target <= w + step * hi:
         return (1.0 - share) * least[q] + share * least[q + 1]
     target = min(max(target, w + step * lo), w + step * hi)
-    return value_at(values, axes, s + 0.5 * step * target, target)
+    return interpolate(ahead, s + 0.5 * step * target, target)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def follow(  # noqa: PLR0913
-    model, here, edges, cylinder, step, values, axes, line, least, fastest, active, row, column, slope
+    model, here, edges, cylinder, values, stage, setting, k, line, least, fastest, active, row, column, slope
 ):
     """Slopes over a stage's cells of what follows after the stage.
 
     Args:
         model, here, edges, cylinder, active: As in `bounds.cells`.
-        step: Length of a stage [s].
-        values, axes: Cost to go of the next stage [J], (positions, velocities), and its nodes, (AXES,).
-        line, least, fastest: As in `ridge`.
+        values, stage, setting, k, line, least, fastest: As in `ridge`.
         row, column: Cell of the stage where the slopes of a cell are taken, (rows,) and (rows, columns).
         slope: Out: along position [J/m] and velocity [J s/m], (rows, columns, 2).
     """
     coefficients = np.empty((model.shape[1], COEFFICIENTS, 3))
-    half_c = 0.5 * here[L_DC]
+    half_c, step, ahead = 0.5 * here[L_DC], setting[STEP], layer(values, stage, setting, k)
     for p in range(slope.shape[0]):
         expand(model, row[p], coefficients)
         c = here[L_C] + (here[L_I] + row[p] + 0.5) * here[L_DC]
@@ -188,11 +185,11 @@ def follow(  # noqa: PLR0913
             slow, fast = edges[row[p], column[p, r]], edges[row[p], column[p, r] + 1]
             w, half = 0.5 * (fast + slow), max(0.5 * (fast - slow), THIN)
             lo, hi = cell_accelerations(coefficients, cylinder, w, 0.0)
-            rise = ahead(values, axes, step, line, least, fastest, c + half_c, w, lo, hi)
-            rise -= ahead(values, axes, step, line, least, fastest, c - half_c, w, lo, hi)
+            rise = least_ahead(ahead, step, line, least, fastest, c + half_c, w, lo, hi)
+            rise -= least_ahead(ahead, step, line, least, fastest, c - half_c, w, lo, hi)
             slope[p, r, 0] = 0.5 * rise / half_c
-            rise = ahead(values, axes, step, line, least, fastest, c, w + half, lo, hi)
-            rise -= ahead(values, axes, step, line, least, fastest, c, w - half, lo, hi)
+            rise = least_ahead(ahead, step, line, least, fastest, c, w + half, lo, hi)
+            rise -= least_ahead(ahead, step, line, least, fastest, c, w - half, lo, hi)
             slope[p, r, 1] = 0.5 * rise / half
 
 
@@ -240,17 +237,13 @@ def charge(model, here, edges, cylinder, setting, fixed, active, slope):
 
 def prepare() -> None:
     """Load the compiled kernels, compiling them on the very first run."""
-    model, one, line = np.zeros((1, 1, COEFFICIENTS, 4)), np.zeros((1, 1)), np.arange(2.0)
-    values, axes, edges, slope = (
-        np.zeros((2, 2), dtype=np.float32),
-        np.ones(AXES),
-        np.zeros((1, 2)),
-        np.zeros((1, 1, 2)),
-    )
+    model, one, line, none = np.zeros((1, 1, COEFFICIENTS, 4)), np.zeros((1, 1)), np.arange(2.0), np.zeros((1, 1), int)
+    values, edges, slope = np.zeros((2, 2), dtype=np.float32), np.zeros((1, 2)), np.zeros((1, 1, 2))
     cylinder, setting, lattice = np.ones((1, CYLINDER_COLUMNS)), np.ones(SETTINGS), np.ones(LATTICE)
-    ridge(values, axes, 1.0, line, np.zeros(2), np.zeros(2))
-    none = np.zeros((1, 1), dtype=int)
+    stage = np.ones((1, STAGE_COLUMNS))
+    ridge(values, stage, setting, 0, line, np.zeros(2), np.zeros(2))
     follow(
-        model, lattice, edges, cylinder, 1.0, values, axes, line, np.zeros(2), np.zeros(2), one, none[0], none, slope
-    )
+        model, lattice, edges, cylinder, values, stage, setting, 0, line, np.zeros(2), np.zeros(2), one, none[0], none,
+        slope,
+    )  # fmt: skip
     charge(model, lattice, edges, cylinder, setting, np.zeros(2), one, slope)

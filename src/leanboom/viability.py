@@ -14,8 +14,7 @@ import numpy as np
 from numba import njit
 
 from leanboom import cellwise
-from leanboom.bounds import ON_LIMIT
-from leanboom.cellwise import L_C, L_DC
+from leanboom.cellwise import L_C, L_DC, ON_LIMIT
 from leanboom.kernels import COEFFICIENTS
 
 BINS = 8  # bins of position in a cell of the first level
