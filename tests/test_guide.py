@@ -35,6 +35,19 @@ def test_guided_bounds_see_the_end_of_the_stroke_and_stay_below_every_motion(loa
     assert cells.residuals(guided, moving, measured.costs).min() >= -1e-9 * measured.energy
 
 
+def test_slopes_that_are_no_numbers_are_level_ones(loader):
+    problem, kept, _ = loader
+    start = float(problem.lower[0])
+
+    def given(value):
+        return lambda cells_, k: np.full((*cells_.active[k].shape, 2), value)
+
+    level = cells.bound(kept, start, quiet, given(0.0)).lower
+    assert 0.0 < level < np.inf
+    for value in (np.nan, np.inf, -np.inf):
+        assert cells.bound(kept, start, quiet, given(value)).lower == level
+
+
 def test_the_ridge_is_the_least_value_of_every_line(rng):
     values = rng.uniform(0.0, 10.0, (7, 5)).astype(np.float32)
     step, stage, setting = 0.3, np.zeros((1, kernels.STAGE_COLUMNS)), np.zeros(kernels.SETTINGS)
@@ -42,10 +55,10 @@ def test_the_ridge_is_the_least_value_of_every_line(rng):
         stage[0, column] = value
     setting[kernels.STEP] = step
     line = np.linspace(1.0 - 0.5 * step * 0.4, 1.6 + 0.5 * step * 0.4, 30)
-    least, fastest = np.empty(30), np.empty(30)
-    guide.ridge(values, stage, setting, 0, line, least, fastest)
+    least, next_w = np.empty(30), np.empty(30)
+    guide.ridge(values, stage, setting, 0, line, least, next_w)
     at = RegularGridInterpolator((1.0 + 0.1 * np.arange(7), -0.4 + 0.2 * np.arange(5)), values.astype(float))
-    for s, value, w in zip(line, least, fastest, strict=True):
+    for s, value, w in zip(line, least, next_w, strict=True):
         tried = -0.4 + 0.2 * np.arange(5)
         c = s + 0.5 * step * tried
         inside = (c >= 1.0 - 1e-9) & (c <= 1.6 + 1e-9)

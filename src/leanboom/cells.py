@@ -218,7 +218,7 @@ def _guided(pool: _Pool, k: int, ahead: np.ndarray, given: np.ndarray) -> np.nda
     """Planes of a stage with given slopes, (rows, columns, 2), and a floor to each."""
     active = pool.cells.active[k]
     here = np.zeros((*active.shape, 4))
-    here[..., 1:3] = given
+    here[..., 1:3] = np.where(np.isfinite(given), given, 0.0)  # nan would pass for a state without motions
     here[..., 0] = pool.run(bounds.PLANE, k, active, here, ahead)
     reached = np.isfinite(here[..., 0])
     flat = pool.run(bounds.PLANE, k, np.where(reached, 0.0, np.inf), np.zeros_like(here), ahead)

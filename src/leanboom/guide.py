@@ -82,11 +82,11 @@ class Guide:
             # All lines c' - step w' / 2 that meet the nodes of the next stage.
             span = 0.5 * setting[STEP] * abs(stage[k + 1, W_LO])
             line = np.linspace(stage[k + 1, C_LO] - span, self.policy.grid.c_hi[k + 1] + span, 2 * values.shape[0])
-            least, fastest = np.empty(line.size), np.empty(line.size)
-            ridge(values, stage, setting, k + 1, line, least, fastest)
+            least, next_w = np.empty(line.size), np.empty(line.size)
+            ridge(values, stage, setting, k + 1, line, least, next_w)
             follow(
                 cells.model[k], cells.lattice[k], cells.edges[k], cells.cylinder, values, stage, setting, k + 1, line,
-                least, fastest, cells.active[k], *self._nearest(cells, k), found,
+                least, next_w, cells.active[k], *self._nearest(cells, k), found,
             )  # fmt: skip
         charge(
             cells.model[k], cells.lattice[k], cells.edges[k], cells.cylinder, cells.setting, cells.fixed[k],
@@ -123,7 +123,7 @@ def memory(problem: Problem) -> float:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def ridge(values, stage, setting, k, line, least, fastest):
+def ridge(values, stage, setting, k, line, least, next_w):
     """Least values ahead whatever the next velocity: along c' = s + step w' / 2 for every s, where s = c + step w / 2.
 
     Args:
@@ -133,29 +133,29 @@ def ridge(values, stage, setting, k, line, least, fastest):
         k: The next stage.
         line: Values of s [m], equally spaced, each leading to some node's position, (any number,).
         least: Out: least value [J].
-        fastest: Out: next velocity there [m/s].
+        next_w: Out: next velocity there [m/s].
     """
     ahead = layer(values, stage, setting, k)
     end = ahead.c_lo + (values.shape[0] - 1) * ahead.dc
     for q in range(line.size):
-        least[q], fastest[q] = np.inf, 0.0
+        least[q], next_w[q] = np.inf, 0.0
         for j in range(values.shape[1]):
             w = ahead.w_lo + j * ahead.dw
             c = line[q] + 0.5 * setting[STEP] * w
             if ahead.c_lo - ON_LIMIT <= c <= end + ON_LIMIT:
                 value = interpolate(ahead, c, w)
                 if value < least[q]:
-                    least[q], fastest[q] = value, w
+                    least[q], next_w[q] = value, w
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def least_ahead(ahead, step, line, least, fastest, c, w, lo, hi):
+def least_ahead(ahead, step, line, least, next_w, c, w, lo, hi):
     """Least value ahead of a state whose acceleration is between lo and hi, on the ridge where it is in reach."""
     s = c + 0.5 * step * w
     x = within((s - line[0]) / (line[1] - line[0]), line.size - 1.0)
     q = min(int(x), line.size - 2)
     share = x - q
-    target = fastest[q] if share < 0.5 else fastest[q + 1]
+    target = next_w[q] if share < 0.5 else next_w[q + 1]
     if w + step * lo <= target <= w + step * hi:
         return (1.0 - share) * least[q] + share * least[q + 1]
     target = min(max(target, w + step * lo), w + step * hi)
@@ -163,14 +163,12 @@ def least_ahead(ahead, step, line, least, fastest, c, w, lo, hi):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def follow(  # noqa: PLR0913
-    model, here, edges, cylinder, values, stage, setting, k, line, least, fastest, active, row, column, slope
-):
+def follow(model, here, edges, cylinder, values, stage, setting, k, line, least, next_w, active, row, column, slope):
     """Slopes over a stage's cells of what follows after the stage.
 
     Args:
         model, here, edges, cylinder, active: As in `bounds.cells`.
-        values, stage, setting, k, line, least, fastest: As in `ridge`.
+        values, stage, setting, k, line, least, next_w: As in `ridge`.
         row, column: Cell of the stage where the slopes of a cell are taken, (rows,) and (rows, columns).
         slope: Out: along position [J/m] and velocity [J s/m], (rows, columns, 2).
     """
@@ -185,11 +183,11 @@ def follow(  # noqa: PLR0913
             slow, fast = edges[row[p], column[p, r]], edges[row[p], column[p, r] + 1]
             w, half = 0.5 * (fast + slow), max(0.5 * (fast - slow), THIN)
             lo, hi = cell_accelerations(coefficients, cylinder, w, 0.0)
-            rise = least_ahead(ahead, step, line, least, fastest, c + half_c, w, lo, hi)
-            rise -= least_ahead(ahead, step, line, least, fastest, c - half_c, w, lo, hi)
+            rise = least_ahead(ahead, step, line, least, next_w, c + half_c, w, lo, hi)
+            rise -= least_ahead(ahead, step, line, least, next_w, c - half_c, w, lo, hi)
             slope[p, r, 0] = 0.5 * rise / half_c
-            rise = least_ahead(ahead, step, line, least, fastest, c, w + half, lo, hi)
-            rise -= least_ahead(ahead, step, line, least, fastest, c, w - half, lo, hi)
+            rise = least_ahead(ahead, step, line, least, next_w, c, w + half, lo, hi)
+            rise -= least_ahead(ahead, step, line, least, next_w, c, w - half, lo, hi)
             slope[p, r, 1] = 0.5 * rise / half
 
 
