@@ -209,9 +209,11 @@ def charge(model, here, edges, cylinder, setting, fixed, active, slope):
     for p in range(slope.shape[0]):
         expand(model, p, coefficients)
         for r in range(slope.shape[1]):
+            if active[p, r] == np.inf:
+                continue
             w, half = 0.5 * (edges[p, r + 1] + edges[p, r]), max(0.5 * (edges[p, r + 1] - edges[p, r]), THIN)
             lo, hi = cell_motion(coefficients, cylinder, setting, w, half, motion)
-            if active[p, r] == np.inf or not lo <= hi:
+            if not lo <= hi:
                 continue
             flow, flow_t, flow_x, _, _ = cell_flow(motion, cylinder, half, fixed[0], sigma)
             u = min(max(0.0, lo), hi)
