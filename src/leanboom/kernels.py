@@ -3,9 +3,11 @@
 Kernels know nothing of machines or tasks. All physics arrives as tables over (stage, position) nodes that are
 polynomial in the redundant cylinder's velocity w and affine in its acceleration u; formulas are shared with the
 rest of the package. A row is all velocities at one position: its states are worked on together, one short loop
-per quantity, so that a processor's vector units are used. Arrays in, caller-owned arrays out, no allocation in the
-stage loop, ties go to the control tried first (strict <). Threads may share a stage by its positions, which are
-independent, so results do not depend on their number; kernels release the interpreter's lock.
+per quantity, so that a processor's vector units are used. For that a loop must not branch, must count in unsigned
+numbers where it does not begin at 0, and must not write where it reads at computed places. Arrays in, caller-owned
+arrays out, no allocation in the stage loop, ties go to the control tried first (strict <). Threads may share a stage
+by its positions, which are independent, so results do not depend on their number; kernels release the
+interpreter's lock.
 
 | symbol | name | unit |
 | --- | --- | --- |
@@ -43,9 +45,9 @@ STEP, COST, EPSILON, SUPPLY_CP, MARGIN, EFFICIENCY, SLOPE_C, SLOPE_W, SLOPE_V, S
 SETTINGS = 13
 # Rows of `Row.state`: least cost to go [J], its control [m/s^2], cost whatever the control [J], cost per pressure
 # [J/Pa] or power [s], least and largest admissible control [m/s^2]; the rest is scratch: control being tried, its cost,
-# flow or pressure or power, share within a cell, cost of being outside the positions.
-VALUE, CONTROL, BASE, RATE, LOW, HIGH, TRIED, PRICE, SUPPLY, SHARE, BEYOND = range(11)
-STATE_ROWS = 11
+# flow or pressure or power, shares within a cell along positions and velocities, cost of being outside the nodes.
+VALUE, CONTROL, BASE, RATE, LOW, HIGH, TRIED, PRICE, SUPPLY, ALONG, ACROSS, BEYOND = range(12)
+STATE_ROWS = 12
 # Rows of `Row.line`: load along the motion at u = 0 (positive: driven against it) [N], or its power [W], and its change
 # with u; the pressure it asks for at u = 0 [Pa], and its change with u.
 LOAD, GAIN, P0, P1 = range(4)
@@ -79,9 +81,9 @@ class Row(NamedTuple):
     p0_i + p1_i u over cylinders with load_i + gain_i u > 0, or times the sum of positive load_i + gain_i u (actuator).
     """
 
-    state: np.ndarray  # (STATE_ROWS, states + velocities ahead); the last two rows alone use all columns
+    state: np.ndarray  # (STATE_ROWS, states + velocities ahead); ALONG and BEYOND alone use all columns
     line: np.ndarray  # (moving cylinders, LINE_ROWS, states)
-    cell: np.ndarray  # scratch: position cell reached, (states + velocities ahead,)
+    cell: np.ndarray  # scratch: cell or row of cells reached, (states + velocities ahead,)
 
 
 @njit(cache=True, error_model="numpy")
@@ -90,7 +92,7 @@ def empty_row(states, cylinders, ahead):
     return Row(
         np.empty((STATE_ROWS, states + ahead)),
         np.empty((cylinders, LINE_ROWS, states)),
-        np.empty(states + ahead, dtype=np.uint32),
+        np.empty(states + ahead, dtype=np.uint64),
     )
 
 
@@ -110,18 +112,30 @@ def within(x, top):
 
 
 @njit(cache=True, error_model="numpy")
-def interpolate(ahead, c, w):
-    """Bilinear value at (c, w) of a layer; outside its nodes, the edge value plus a slope times the distance."""
+def locate(ahead, c, w):
+    """The cell of (c, w), by its first node's number; the shares within it; what being outside all nodes costs."""
     x, y = (c - ahead.c_lo) * ahead.per_dc, (w - ahead.w_lo) * ahead.per_dw
     positions, velocities = ahead.value.shape
     inside_x, inside_y = within(x, positions - 1.0), within(y, velocities - 1.0)
     extra = ahead.slope_c * abs(x - inside_x) + ahead.slope_w * abs(y - inside_y)
     i, j = np.uint32(min(inside_x, positions - 2.0)), np.uint32(min(inside_y, velocities - 2.0))
-    x, y = inside_x - i, inside_y - j
-    i_next, j_next = i + np.uint32(1), j + np.uint32(1)
-    low = (1.0 - y) * ahead.value[i, j] + y * ahead.value[i, j_next]
-    high = (1.0 - y) * ahead.value[i_next, j] + y * ahead.value[i_next, j_next]
-    return (1.0 - x) * low + x * high + extra
+    return i * np.uint64(velocities) + j, inside_x - i, inside_y - j, extra
+
+
+@njit(cache=True, error_model="numpy")
+def blend(nodes, velocities, cell, x, y):
+    """Bilinear value within a cell; `nodes` are a layer's values in one row."""
+    beside = cell + np.uint64(velocities)
+    low = (1.0 - y) * nodes[cell] + y * nodes[cell + np.uint64(1)]
+    high = (1.0 - y) * nodes[beside] + y * nodes[beside + np.uint64(1)]
+    return (1.0 - x) * low + x * high
+
+
+@njit(cache=True, error_model="numpy")
+def interpolate(ahead, c, w):
+    """Bilinear value at (c, w) of a layer; outside its nodes, the edge value plus a slope times the distance."""
+    cell, x, y, extra = locate(ahead, c, w)
+    return blend(ahead.value.reshape(-1), ahead.value.shape[1], cell, x, y) + extra
 
 
 @njit(cache=True, error_model="numpy")
@@ -250,6 +264,7 @@ def add_running_cost(first, last, code, lowest, row):
     """Add the `running_cost` of the controls tried to the price of states `first` to `last` - 1."""
     tried, price, supply, rate = row.state[TRIED], row.state[PRICE], row.state[SUPPLY], row.state[RATE]
     least = lowest if code == LS else 0.0
+    first, last = np.uint64(first), np.uint64(last)
     for j in range(first, last):
         supply[j] = least
     for i in range(row.line.shape[0]):
@@ -270,11 +285,16 @@ def add_running_cost(first, last, code, lowest, row):
 def try_end(end, c, w, step, ahead, code, lowest, row):
     """Try one end of the admissible controls: row `end`, LOW or HIGH."""
     tried, price, value, control = row.state[TRIED], row.state[PRICE], row.state[VALUE], row.state[CONTROL]
-    half = 0.5 * step * step
+    along, across, beyond, cell = row.state[ALONG], row.state[ACROSS], row.state[BEYOND], row.cell
+    half, nodes, velocities = 0.5 * step * step, ahead.value.reshape(-1), ahead.value.shape[1]
     for j in range(w.size):
         tried[j] = row.state[end, j]
     for j in range(w.size):
-        price[j] = interpolate(ahead, c + step * w[j] + half * tried[j], w[j] + step * tried[j])
+        cell[j], along[j], across[j], beyond[j] = locate(
+            ahead, c + step * w[j] + half * tried[j], w[j] + step * tried[j]
+        )
+    for j in range(w.size):
+        price[j] = blend(nodes, velocities, cell[j], along[j], across[j]) + beyond[j]
     if code == LS or code == ACTUATOR:
         add_running_cost(0, w.size, code, lowest, row)
     for j in range(w.size):
@@ -291,7 +311,7 @@ def try_nodes(c, w, step, ahead, code, lowest, row):
     sum of the two numbers alone.
     """
     tried, price, value, control = row.state[TRIED], row.state[PRICE], row.state[VALUE], row.state[CONTROL]
-    low, high, share, beyond, cell = row.state[LOW], row.state[HIGH], row.state[SHARE], row.state[BEYOND], row.cell
+    low, high, along, beyond, cell = row.state[LOW], row.state[HIGH], row.state[ALONG], row.state[BEYOND], row.cell
     positions, velocities = ahead.value.shape
     half = 0.5 * step * ahead.dw
     middle = c + 0.5 * step * (w[0] + ahead.w_lo)
@@ -299,7 +319,7 @@ def try_nodes(c, w, step, ahead, code, lowest, row):
         x = (middle + half * total - ahead.c_lo) * ahead.per_dc
         inside = within(x, positions - 1.0)
         i = np.uint32(min(inside, positions - 2.0))
-        cell[total], share[total], beyond[total] = i, inside - i, ahead.slope_c * abs(x - inside)
+        cell[total], along[total], beyond[total] = i, inside - i, ahead.slope_c * abs(x - inside)
     lowest_u, highest_u = np.inf, -np.inf
     for j in range(w.size):
         lowest_u, highest_u = min(lowest_u, low[j]), max(highest_u, high[j])
@@ -308,18 +328,19 @@ def try_nodes(c, w, step, ahead, code, lowest, row):
     farthest = min(int(np.floor(highest_u * step * ahead.per_dw + shift + ROUNDING)), velocities - 1)
     for d in range(nearest, farthest + 1):
         u = (ahead.w_lo - w[0] + d * ahead.dw) / step
-        first, last = max(0, -d), min(w.size, velocities - d)
+        first, last = np.uint64(max(0, -d)), np.uint64(min(w.size, velocities - d))
         for j in range(first, last):
-            total, node = 2 * j + d, np.uint32(j + d)
-            i, x = cell[total], share[total]
-            near, far = ahead.value[i, node], ahead.value[i + np.uint32(1), node]
+            node = np.uint64(np.int64(j) + d)
+            total = j + node
+            i, x = cell[total], along[total]
+            near, far = ahead.value[i, node], ahead.value[i + np.uint64(1), node]
             price[j] = near + x * (far - near) + beyond[total]
         if code == LS or code == ACTUATOR:
             for j in range(first, last):
                 tried[j] = u
             add_running_cost(first, last, code, lowest, row)
         for j in range(first, last):
-            better = price[j] < value[j] and low[j] <= u <= high[j]
+            better = (price[j] < value[j]) & (low[j] <= u) & (u <= high[j])
             value[j] = price[j] if better else value[j]
             control[j] = u if better else control[j]
 
@@ -331,7 +352,11 @@ def try_inside(c, w, step, ahead, code, lowest, row):
         row.state[TRIED], row.state[VALUE], row.state[CONTROL], row.state[LOW], row.state[HIGH],
     )  # fmt: skip
     half = 0.5 * step * step
+    first, last = w.size, -1
     for j in range(w.size):
+        inside = (low[j] < tried[j]) & (tried[j] < high[j])
+        first, last = min(first, j if inside else w.size), max(last, j if inside else -1)
+    for j in range(first, last + 1):
         u = tried[j]
         if low[j] < u < high[j]:
             price = interpolate(ahead, c + step * w[j] + half * u, w[j] + step * u)
