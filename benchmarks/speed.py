@@ -6,7 +6,7 @@ measured here, compiled by the same compiler. Then: tables, threads, growth with
 
 Operations are counted from the loops of `kernels`, one for each addition, multiplication, comparison, minimum or
 maximum, divisions and roundings as one too; a hyperbolic tangent as 20. A candidate that is looked at counts, and so
-does the one that is not admissible; a switch counts its division, and its interpolation where it is admissible.
+does the one that is not admissible; all corners of a state whose cost is not one line over its controls do.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from numba import njit
 
 import leanboom as lb
 from benchmarks.run import machine, title
-from leanboom import dp, kernels, stages
+from leanboom import dp, kernels, passes, stages
 
 # Operations per state: parts that every cost has, per moving cylinder and in all.
 LIMITS, LIMITS_ALL, KEEP, FLOW, FLOW_ALL = 17, 8, 12, 6, 4
-INTERPOLATE, NODES_ALL, NODE = 32, 24, 8
-LOAD_LINE, RUNNING, RUNNING_ALL, SWITCH = 42, 7, 3, 6
+INTERPOLATE, NODES_ALL, NODE = 34, 24, 10
+LOAD_LINE, SETTLE, SETTLE_ALL, RUNNING, SWITCH = 42, 14, 6, 6, 6
 
 
 @njit(error_model="numpy")
@@ -60,6 +60,25 @@ def rates() -> tuple[float, float]:
     return operations, moved
 
 
+def mixed_share(policy) -> float:
+    """Share of states whose cost is not one line over their controls, of every 20th stage and 10th position."""
+    t, (stages_, positions, velocities) = policy.tables, policy.values.shape
+    row = kernels.empty_row(velocities, t.cylinder.shape[0], velocities)
+    shares = []
+    for k in range(0, stages_ - 1, 20):
+        ahead = kernels.layer(policy.values[k + 1], t.stage, policy.setting, k + 1)
+        w = t.stage[k, kernels.W_LO] + t.stage[k, kernels.DW] * np.arange(velocities)
+        for p in range(0, positions, 10):
+            c, node, outside = (
+                t.stage[k, kernels.C_LO] + p * t.stage[k, kernels.DC],
+                t.coefficients[k, p],
+                t.outside[k, p],
+            )
+            kernels.best_controls(node, outside, c, w, k, t.stage, t.cylinder, policy.setting, ahead, row)
+            shares.append(row.state[kernels.MIXED, :velocities].mean())
+    return float(np.mean(shares))
+
+
 def operations(problem, policy) -> tuple[float, float]:
     """Operations a state, and how many velocity nodes it looks at, on average."""
     t, cost = policy.tables, policy.cost
@@ -75,8 +94,8 @@ def operations(problem, policy) -> tuple[float, float]:
     nodes = float(np.minimum(width, states).mean())
     count = n * (LIMITS + FLOW) + LIMITS_ALL + KEEP + FLOW_ALL + 2 * INTERPOLATE + NODES_ALL + nodes * NODE
     if cost == "ls":
-        priced = n * RUNNING + RUNNING_ALL
-        count += n * LOAD_LINE + (2 + nodes) * priced + n * (n + 3) / 2 * SWITCH
+        corners = (2 + nodes + n * (n + 2)) * (INTERPOLATE + n * RUNNING) + n * (n + 2) * SWITCH
+        count += n * (LOAD_LINE + SETTLE) + SETTLE_ALL + mixed_share(policy) * corners
     return count, nodes
 
 
@@ -94,7 +113,7 @@ def floor() -> None:
             values, terminal = policy.values.copy(), policy.values[-1].astype(float)
             arrays = table.coefficients, table.outside, table.stage, table.cylinder, steep
             states = problem.stages * grid.positions * grid.velocities
-            took = least(lambda a=arrays, v=values, e=terminal: kernels.sweep(*a, e, v), 3) / states
+            took = least(lambda a=arrays, v=values, e=terminal: passes.sweep(*a, e, v), 3) / states
             count, nodes = operations(problem, policy)
             row = table.coefficients.shape[2] * kernels.COEFFICIENTS * 8
             traffic = 8 + 8 + 4 + row / grid.velocities  # ahead, here, stored value, table

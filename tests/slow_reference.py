@@ -18,7 +18,7 @@ BESIDE = 1e-7  # corners are tried this far on either side of a switch [m/s^2]
 
 @dataclass(frozen=True)
 class Small:
-    """A problem as the kernels see it; arrays as in `kernels.sweep`."""
+    """A problem as the kernels see it; arrays as in `passes.sweep`."""
 
     coefficients: np.ndarray  # (stages + 1, positions, moving, kernels.COEFFICIENTS)
     outside: np.ndarray  # [m], (stages + 1, positions)

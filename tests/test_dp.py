@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from leanboom import dp, kernels, motion, pseudo_inverse, stages
+from leanboom import dp, kernels, motion, passes, pseudo_inverse, stages
 from leanboom.errors import InputError
 from leanboom.files import load_task
 from leanboom.judge import evaluate, judged_cost
@@ -57,7 +57,7 @@ def toy(cost: str, spacing: float, a0=None, terminal=None, *, step=0.1, count=10
     c, w = np.linspace(-half_c, half_c, positions), np.linspace(-half_w, half_w, velocities)
     last = np.zeros((positions, velocities)) if terminal is None else terminal(c[:, None], w[None, :])
     values = np.empty((count + 1, positions, velocities))
-    kernels.sweep(row, np.zeros((count + 1, positions)), stage, cylinder, setting, last, values)
+    passes.sweep(row, np.zeros((count + 1, positions)), stage, cylinder, setting, last, values)
     return c, w, values
 
 

@@ -80,7 +80,8 @@ def test_costs_from_the_file_are_those_of_the_kernels(name, pump, tmp_path, rng)
             _, cost, broken = model(par, k, c, w, u)
             wanted = row.state[kernels.BASE, : w.size].copy()
             if pump == "ls":
-                wanted += [kernels.running_cost(u[j], j, code, lowest, row) for j in range(w.size)]
+                asked = [kernels.running_cost(u[j], j, code, lowest, row.line) for j in range(w.size)]
+                wanted += row.state[kernels.RATE, : w.size] * asked
             np.testing.assert_allclose(cost, wanted, rtol=1e-9, atol=1e-6)
             checked += int((~broken).sum())
     assert checked > 100

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import slow_reference as slow
 from leanboom import crane as cranes
-from leanboom import dp, hydraulics, kernels, stages
+from leanboom import dp, hydraulics, kernels, passes, stages
 from leanboom.files import load_task
 from leanboom.objective import COSTS
 from slow_reference import Small
@@ -61,7 +61,7 @@ def problem(seed: int, cost: str, *, stages=3, positions=5, velocities=7, prescr
 
 def swept(small: Small, kind=np.float64) -> np.ndarray:
     values = np.empty((small.stages + 1, *small.terminal.shape), dtype=kind)
-    kernels.sweep(*small.arrays, small.terminal, values)
+    passes.sweep(*small.arrays, small.terminal, values)
     return values
 
 
@@ -186,6 +186,39 @@ def test_the_pressure_of_prescribed_cylinders_is_used_up_but_not_exceeded():
     assert value == pytest.approx(500.0 - 100.0 * 0.12, rel=1e-9)
 
 
+@pytest.mark.parametrize("cost", ["ls", "actuator"])
+def test_settled_states_cost_one_line_over_their_controls(cost):
+    """Against many controls of each state; there are mixed states too, whose costs bend between them."""
+    settled = mixed = 0
+    for seed in range(12):
+        small = problem(seed, cost)
+        k, (positions, velocities) = 1, small.terminal.shape
+        w = small.velocity(k, 0) + small.stage[k, kernels.DW] * np.arange(velocities)
+        ahead = kernels.layer(np.zeros_like(small.terminal), small.stage, small.setting, k + 1)
+        code, lowest = COSTS[cost], small.stage[k, kernels.FIXED_PRESSURE]
+        for p in range(positions):
+            row = kernels.empty_row(velocities, small.cylinder.shape[0], velocities)
+            node, c = small.coefficients[k, p], small.position(k, p)
+            kernels.best_controls(node, 0.0, c, w, k, small.stage, small.cylinder, small.setting, ahead, row)
+            base, slope = row.state[kernels.BASE].copy(), row.state[kernels.SLOPE].copy()
+            kernels.limit_controls(node, 0.0, w, k, small.stage, small.cylinder, small.setting, row)
+            kernels.keep_to_nodes(w, ahead, small.setting[kernels.STEP], row)
+            kernels.charge(node, w, k, small.stage, small.cylinder, small.setting, code, row)
+            for j in range(velocities):
+                u = np.linspace(row.state[kernels.LOW, j], row.state[kernels.HIGH, j], 401)
+                asked = np.array([kernels.running_cost(x, j, code, lowest, row.line) for x in u])
+                dear = row.state[kernels.BASE, j] + row.state[kernels.RATE, j] * asked
+                bend = np.abs(dear - np.linspace(dear[0], dear[-1], u.size)).max()
+                if row.state[kernels.MIXED, j]:
+                    mixed += bend > 1e-6 * np.abs(dear).max()
+                else:
+                    settled += 1
+                    np.testing.assert_allclose(base[j] + slope[j] * u, dear, rtol=1e-9)
+    assert settled > 50
+    assert settled > 50
+    assert mixed > 20
+
+
 def corner_error(small: Small, k: int, ahead: np.ndarray) -> float:
     """What corners may miss: the value ahead bends in position by this much within one velocity interval."""
     slope = np.diff(ahead, axis=0) / small.stage[k + 1, kernels.DC]
@@ -269,7 +302,7 @@ def test_sweep_and_rollout_equal_enumeration_on_a_tiny_grid(cost, seed):
     least = min(found.values())
     assert values[0, start_p, start_j] == pytest.approx(least, rel=1e-9)
     position, velocity, control = np.empty(5), np.empty(5), np.empty(4)
-    kernels.rollout(*small.arrays, values, np.array([c, w]), 0, position, velocity, control)
+    passes.rollout(*small.arrays, values, np.array([c, w]), 0, position, velocity, control)
     taken = np.rint(velocity[1:] / dw)
     np.testing.assert_allclose(velocity[1:], taken * dw, atol=1e-12)
     assert found[tuple(int(j) + 1 for j in taken)] == pytest.approx(least, rel=1e-9)  # some have equals
@@ -302,7 +335,7 @@ def test_rollout_integrates_exactly_and_takes_the_best_control_at_every_state(co
     c = small.position(0, 0) + x * 4 * small.stage[0, kernels.DC]
     w = small.velocity(0, 0) + y * 6 * small.stage[0, kernels.DW]
     position, velocity, control = np.full(6, np.nan), np.full(6, np.nan), np.full(5, np.nan)
-    total = kernels.rollout(*small.arrays, values, np.array([c, w]), 0, position, velocity, control)
+    total = passes.rollout(*small.arrays, values, np.array([c, w]), 0, position, velocity, control)
     ts = small.setting[kernels.STEP]
     assert (position[0], velocity[0]) == (c, w)
     np.testing.assert_allclose(position[1:], position[:-1] + ts * velocity[:-1] + 0.5 * ts**2 * control, rtol=1e-14)
@@ -318,7 +351,7 @@ def test_rollout_from_a_later_stage_leaves_earlier_entries_alone():
     small = problem(3, "cp", stages=5)
     values = swept(small)
     position, velocity, control = np.full(6, -1.0), np.full(6, -2.0), np.full(5, -3.0)
-    kernels.rollout(*small.arrays, values, np.array([0.45, 0.01]), 2, position, velocity, control)
+    passes.rollout(*small.arrays, values, np.array([0.45, 0.01]), 2, position, velocity, control)
     assert (position[:2] == -1.0).all() and (velocity[:2] == -2.0).all() and (control[:2] == -3.0).all()
     assert (position[2], velocity[2]) == (0.45, 0.01)
     assert (control[2:] != -3.0).all()
@@ -432,6 +465,6 @@ def test_a_motion_that_runs_away_stays_on_the_grid(bad):
     values = swept(small)
     count = small.stages + 1
     position, velocity, control = np.zeros(count), np.zeros(count), np.zeros(count - 1)
-    kernels.rollout(*small.arrays, values, np.array([bad, 0.0]), 0, position, velocity, control)
+    passes.rollout(*small.arrays, values, np.array([bad, 0.0]), 0, position, velocity, control)
     assert not np.isfinite(position).any()
     assert not np.isfinite(at(small, values[1], 1, bad, 0.0))

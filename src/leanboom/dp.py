@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from leanboom import continuation, hydraulics, kernels, lookahead, motion, stages
+from leanboom import continuation, hydraulics, kernels, lookahead, motion, passes, stages
 from leanboom import crane as cranes
 from leanboom.continuation import Continuation
 from leanboom.errors import InputError
@@ -104,7 +104,7 @@ class Policy:
         u = np.empty(problem.stages)
         after = np.array([position + lead * (velocity + 0.5 * lead * first), velocity + lead * first])
         c[stage], w[stage], u[stage] = position, velocity, first
-        kernels.rollout(
+        passes.rollout(
             table.coefficients, table.outside, table.stage, table.cylinder, self.setting, self.values,
             after, stage + 1, c, w, u,
         )  # fmt: skip
@@ -234,14 +234,14 @@ def solve(problem: Problem, grid: Grid, cost: str, terminal: Terminal | None = N
     problem_arrays = table.coefficients, table.outside, table.stage, table.cylinder, setting
     workers = min(stages.threads(), grid.positions * grid.velocities // WORTH_SHARING)
     if workers < 2:
-        kernels.sweep(*problem_arrays, end, values)
+        passes.sweep(*problem_arrays, end, values)
     else:
         _sweep_shared(problem_arrays, end, values, workers)
     return Policy(problem, cost, grid, table, setting, values)
 
 
 def _sweep_shared(problem_arrays: Any, terminal: np.ndarray, values: np.ndarray, workers: int) -> None:
-    """The backward pass with every stage's positions shared among threads; the same bits as `kernels.sweep`."""
+    """The backward pass with every stage's positions shared among threads; the same bits as `passes.sweep`."""
     stages_, positions = values.shape[0] - 1, values.shape[1]
     bounds = np.linspace(0, positions, workers + 1).astype(int).tolist()
     ahead, here = terminal.copy(), np.empty_like(terminal)
@@ -250,10 +250,10 @@ def _sweep_shared(problem_arrays: Any, terminal: np.ndarray, values: np.ndarray,
         for k in range(stages_ - 1, -1, -1):
             arrays: Any = (*problem_arrays, ahead, here, values)
             parts = [
-                pool.submit(kernels.sweep_stage, k, first, last, *arrays)
+                pool.submit(passes.sweep_stage, k, first, last, *arrays)
                 for first, last in zip(bounds[1:-1], bounds[2:], strict=True)
             ]
-            kernels.sweep_stage(k, 0, bounds[1], *arrays)
+            passes.sweep_stage(k, 0, bounds[1], *arrays)
             for part in parts:
                 part.result()
             ahead, here = here, ahead
@@ -264,7 +264,7 @@ def rollout(policy: Policy, start: float, method: str = "dp", velocity: float = 
     problem, table = policy.problem, policy.tables
     positions, velocities = np.empty(problem.stages + 1), np.empty(problem.stages + 1)
     control = np.empty(problem.stages)
-    kernels.rollout(
+    passes.rollout(
         table.coefficients, table.outside, table.stage, table.cylinder, policy.setting, policy.values,
         np.array([start, velocity]), 0, positions, velocities, control,
     )  # fmt: skip
@@ -311,9 +311,9 @@ def prepare() -> None:
     values = np.zeros((2, 2, 2), dtype=np.float32)
     cylinder = np.ones((1, kernels.CYLINDER_COLUMNS))
     arrays = coefficients, np.zeros((2, 2)), stage, cylinder, setting
-    kernels.sweep(*arrays, np.zeros((2, 2)), values)
+    passes.sweep(*arrays, np.zeros((2, 2)), values)
     _sweep_shared(arrays, np.zeros((2, 2)), values, 2)
-    kernels.rollout(
+    passes.rollout(
         coefficients, np.zeros((2, 2)), stage, cylinder, setting, values, np.zeros(2), 0, np.zeros(2), np.zeros(2),
         np.zeros(1),
     )  # fmt: skip

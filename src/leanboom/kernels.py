@@ -1,13 +1,11 @@
-"""Compiled kernels of the dynamic program: the best control of every state of a row, backward stages, the rollout.
+"""Compiled kernels of the dynamic program: the best control of every state of a row.
 
 Kernels know nothing of machines or tasks. All physics arrives as tables over (stage, position) nodes that are
 polynomial in the redundant cylinder's velocity w and affine in its acceleration u; formulas are shared with the
 rest of the package. A row is all velocities at one position: its states are worked on together, one short loop
 per quantity, so that a processor's vector units are used. For that a loop must not branch, must count in unsigned
 numbers where it does not begin at 0, and must not write where it reads at computed places. Arrays in, caller-owned
-arrays out, no allocation in the stage loop, ties go to the control tried first (strict <). Threads may share a stage
-by its positions, which are independent, so results do not depend on their number; kernels release the
-interpreter's lock.
+arrays out, ties go to the control tried first (strict <).
 
 | symbol | name | unit |
 | --- | --- | --- |
@@ -46,8 +44,8 @@ SETTINGS = 13
 # Rows of `Row.state`: least cost to go [J], its control [m/s^2], cost whatever the control [J], cost per pressure
 # [J/Pa] or power [s], least and largest admissible control [m/s^2]; the rest is scratch: control being tried, its cost,
 # flow or pressure or power, shares within a cell along positions and velocities, cost of being outside the nodes.
-VALUE, CONTROL, BASE, RATE, LOW, HIGH, TRIED, PRICE, SUPPLY, ALONG, ACROSS, BEYOND = range(12)
-STATE_ROWS = 12
+VALUE, CONTROL, BASE, RATE, SLOPE, MIXED, LOW, HIGH, PRICE, SUPPLY, ALONG, ACROSS, BEYOND = range(13)
+STATE_ROWS = 13
 # Rows of `Row.line`: load along the motion at u = 0 (positive: driven against it) [N], or its power [W], and its change
 # with u; the pressure it asks for at u = 0 [Pa], and its change with u.
 LOAD, GAIN, P0, P1 = range(4)
@@ -228,6 +226,7 @@ def load_lines(node, w, cylinder, setting, code, lowest, row):
         if code == ACTUATOR:
             for j in range(w.size):
                 v = a0 + a1 * w[j]
+                p0[j], p1[j] = 0.0, 0.0
                 load[j], gain[j] = v * (load[j] + f0 + w[j] * (f1 + w[j] * f2)), v * f3
             continue
         gain_out, back_out = cylinder[i, GAIN_OUT], cylinder[i, BACK_OUT]
@@ -244,75 +243,78 @@ def load_lines(node, w, cylinder, setting, code, lowest, row):
 
 
 @njit(cache=True, error_model="numpy")
-def running_cost(u, j, code, lowest, row):
-    """The part of state j's cost that depends on its control: supply pressure (ls) or positive work (actuator)."""
-    line, rate = row.line, row.state[RATE, j]
-    if code == LS:
-        pressure = lowest
-        for i in range(line.shape[0]):
-            if line[i, LOAD, j] + line[i, GAIN, j] * u > 0.0:
-                pressure = max(pressure, line[i, P0, j] + line[i, P1, j] * u)
-        return rate * pressure
-    work = 0.0
+def running_cost(u, j, code, lowest, line):
+    """What state j's control costs by itself, per `RATE`: supply pressure (ls) or positive work (actuator)."""
+    pressure, work = lowest, 0.0
     for i in range(line.shape[0]):
-        work += max(line[i, LOAD, j] + line[i, GAIN, j] * u, 0.0)
-    return rate * work
+        along = line[i, LOAD, j] + line[i, GAIN, j] * u
+        if along > 0.0:
+            work += along
+            pressure = max(pressure, line[i, P0, j] + line[i, P1, j] * u)
+    return pressure if code == LS else work
 
 
 @njit(cache=True, error_model="numpy")
-def add_running_cost(first, last, code, lowest, row):
-    """Add the `running_cost` of the controls tried to the price of states `first` to `last` - 1."""
-    tried, price, supply, rate = row.state[TRIED], row.state[PRICE], row.state[SUPPLY], row.state[RATE]
-    least = lowest if code == LS else 0.0
-    first, last = np.uint64(first), np.uint64(last)
-    for j in range(first, last):
-        supply[j] = least
-    for i in range(row.line.shape[0]):
-        load, gain, p0, p1 = row.line[i, LOAD], row.line[i, GAIN], row.line[i, P0], row.line[i, P1]
+def settle_lines(states, code, lowest, row):
+    """States whose running cost is one line over all admissible controls: it moves into `BASE` and `SLOPE`.
+
+    A cylinder is loaded between two controls if it is at both ends, and so is the one that asks for most. States of
+    which this does not hold are `MIXED`.
+    """
+    line, low, high, base, rate = row.line, row.state[LOW], row.state[HIGH], row.state[BASE], row.state[RATE]
+    slope, mixed = row.state[SLOPE], row.state[MIXED]
+    for j in range(states):
+        least, most = low[j], high[j]
+        changes = False
+        p, dp, asked = lowest, 0.0, lowest  # the line that is highest at the first end, and its value there
+        q, dq, wanted = lowest, 0.0, lowest  # at the last end
+        work, dwork = 0.0, 0.0
+        for i in range(line.shape[0]):
+            load, gain, p0, p1 = line[i, LOAD, j], line[i, GAIN, j], line[i, P0, j], line[i, P1, j]
+            first, last = load + gain * least > 0.0, load + gain * most > 0.0
+            changes = changes or first != last
+            if first and p0 + p1 * least > asked:
+                p, dp, asked = p0, p1, p0 + p1 * least
+            if last and p0 + p1 * most > wanted:
+                q, dq, wanted = p0, p1, p0 + p1 * most
+            if first:
+                work, dwork = work + load, dwork + gain
         if code == LS:
-            for j in range(first, last):
-                asked = p0[j] + p1[j] * tried[j]
-                asked = asked if load[j] + gain[j] * tried[j] > 0.0 else 0.0
-                supply[j] = max(supply[j], asked)
-        else:
-            for j in range(first, last):
-                supply[j] += max(load[j] + gain[j] * tried[j], 0.0)
-    for j in range(first, last):
-        price[j] += rate[j] * supply[j]
+            changes = changes or p != q or dp != dq
+        mixed[j] = 1.0 if changes else 0.0
+        if not changes:
+            base[j] += rate[j] * (p if code == LS else work)
+            slope[j] = rate[j] * (dp if code == LS else dwork)
 
 
 @njit(cache=True, error_model="numpy")
-def try_end(end, c, w, step, ahead, code, lowest, row):
+def try_end(end, c, w, step, ahead, row):
     """Try one end of the admissible controls: row `end`, LOW or HIGH."""
-    tried, price, value, control = row.state[TRIED], row.state[PRICE], row.state[VALUE], row.state[CONTROL]
+    price, value, control, slope = row.state[PRICE], row.state[VALUE], row.state[CONTROL], row.state[SLOPE]
     along, across, beyond, cell = row.state[ALONG], row.state[ACROSS], row.state[BEYOND], row.cell
     half, nodes, velocities = 0.5 * step * step, ahead.value.reshape(-1), ahead.value.shape[1]
+    u = row.state[end]
     for j in range(w.size):
-        tried[j] = row.state[end, j]
-    for j in range(w.size):
-        cell[j], along[j], across[j], beyond[j] = locate(
-            ahead, c + step * w[j] + half * tried[j], w[j] + step * tried[j]
-        )
+        cell[j], along[j], across[j], beyond[j] = locate(ahead, c + step * w[j] + half * u[j], w[j] + step * u[j])
     for j in range(w.size):
         price[j] = blend(nodes, velocities, cell[j], along[j], across[j]) + beyond[j]
-    if code == LS or code == ACTUATOR:
-        add_running_cost(0, w.size, code, lowest, row)
     for j in range(w.size):
-        better = price[j] < value[j]
-        value[j] = price[j] if better else value[j]
-        control[j] = tried[j] if better else control[j]
+        cost = price[j] + slope[j] * u[j]
+        better = cost < value[j]
+        value[j] = cost if better else value[j]
+        control[j] = u[j] if better else control[j]
 
 
 @njit(cache=True, error_model="numpy")
-def try_nodes(c, w, step, ahead, code, lowest, row):
+def try_nodes(c, w, step, ahead, row):
     """Try the controls that reach the next stage's velocity nodes: one interpolation each, in position only.
 
     From velocity j to node j + d the control is the same for all j, and the position reached depends on the
     sum of the two numbers alone.
     """
-    tried, price, value, control = row.state[TRIED], row.state[PRICE], row.state[VALUE], row.state[CONTROL]
+    price, value, control, slope = row.state[PRICE], row.state[VALUE], row.state[CONTROL], row.state[SLOPE]
     low, high, along, beyond, cell = row.state[LOW], row.state[HIGH], row.state[ALONG], row.state[BEYOND], row.cell
-    positions, velocities = ahead.value.shape
+    nodes, (positions, velocities) = ahead.value, ahead.value.shape
     half = 0.5 * step * ahead.dw
     middle = c + 0.5 * step * (w[0] + ahead.w_lo)
     for total in range(w.size + velocities - 1):
@@ -323,67 +325,70 @@ def try_nodes(c, w, step, ahead, code, lowest, row):
     lowest_u, highest_u = np.inf, -np.inf
     for j in range(w.size):
         lowest_u, highest_u = min(lowest_u, low[j]), max(highest_u, high[j])
-    shift = (w[0] - ahead.w_lo) * ahead.per_dw
-    nearest = max(int(np.ceil(lowest_u * step * ahead.per_dw + shift - ROUNDING)), 1 - w.size)
-    farthest = min(int(np.floor(highest_u * step * ahead.per_dw + shift + ROUNDING)), velocities - 1)
-    for d in range(nearest, farthest + 1):
+    nearest, farthest = reachable(lowest_u, highest_u, w[0], step, ahead)
+    for d in range(max(nearest, 1 - w.size), min(farthest, velocities - 1) + 1):
         u = (ahead.w_lo - w[0] + d * ahead.dw) / step
         first, last = np.uint64(max(0, -d)), np.uint64(min(w.size, velocities - d))
         for j in range(first, last):
             node = np.uint64(np.int64(j) + d)
             total = j + node
             i, x = cell[total], along[total]
-            near, far = ahead.value[i, node], ahead.value[i + np.uint64(1), node]
+            near, far = nodes[i, node], nodes[i + np.uint64(1), node]
             price[j] = near + x * (far - near) + beyond[total]
-        if code == LS or code == ACTUATOR:
-            for j in range(first, last):
-                tried[j] = u
-            add_running_cost(first, last, code, lowest, row)
         for j in range(first, last):
-            better = (price[j] < value[j]) & (low[j] <= u) & (u <= high[j])
-            value[j] = price[j] if better else value[j]
+            cost = price[j] + slope[j] * u
+            better = (cost < value[j]) & (low[j] <= u) & (u <= high[j])
+            value[j] = cost if better else value[j]
             control[j] = u if better else control[j]
 
 
 @njit(cache=True, error_model="numpy")
-def try_inside(c, w, step, ahead, code, lowest, row):
-    """Try the control `TRIED` of every state where it is admissible and better in value alone."""
-    tried, value, control, low, high = (
-        row.state[TRIED], row.state[VALUE], row.state[CONTROL], row.state[LOW], row.state[HIGH],
-    )  # fmt: skip
-    half = 0.5 * step * step
-    first, last = w.size, -1
-    for j in range(w.size):
-        inside = (low[j] < tried[j]) & (tried[j] < high[j])
-        first, last = min(first, j if inside else w.size), max(last, j if inside else -1)
-    for j in range(first, last + 1):
-        u = tried[j]
-        if low[j] < u < high[j]:
-            price = interpolate(ahead, c + step * w[j] + half * u, w[j] + step * u)
-            if price < value[j]:
-                price += running_cost(u, j, code, lowest, row)
-                if price < value[j]:
-                    value[j], control[j] = price, u
+def reachable(low, high, w, step, ahead):
+    """Numbers of the first and the last velocity node that controls from `low` to `high` lead to from velocity w."""
+    per_control, start = step * ahead.per_dw, (w - ahead.w_lo) * ahead.per_dw
+    return int(np.ceil(low * per_control + start - ROUNDING)), int(np.floor(high * per_control + start + ROUNDING))
 
 
 @njit(cache=True, error_model="numpy")
-def try_switches(c, w, step, ahead, code, lowest, row):
-    """Try the unloaded side of every switch of a load's sign and, for ls, every crossing of two pressures."""
-    tried, line = row.state[TRIED], row.line
-    for i in range(line.shape[0]):
-        for j in range(w.size):
-            shift = SWITCH_SHIFT if line[i, GAIN, j] > 0.0 else -SWITCH_SHIFT
-            tried[j] = -line[i, LOAD, j] / line[i, GAIN, j] - shift
-        try_inside(c, w, step, ahead, code, lowest, row)
-        if code == ACTUATOR:
+def try_mixed(c, w, step, ahead, code, lowest, row):
+    """Try all corners of the states that are `MIXED`.
+
+    Besides the ends and the nodes these are the unloaded side of every switch of a load's sign and, for ls, the
+    crossings of two pressures.
+    """
+    value, control, low, high = row.state[VALUE], row.state[CONTROL], row.state[LOW], row.state[HIGH]
+    line, mixed, rate = row.line, row.state[MIXED], row.state[RATE]
+    half, corners = 0.5 * step * step, row.line.shape[0] + 2  # corners of a cylinder
+    nodes, velocities = ahead.value.reshape(-1), ahead.value.shape[1]
+    for j in range(w.size):
+        if mixed[j] == 0.0:
             continue
-        for j in range(w.size):
-            tried[j] = (lowest - line[i, P0, j]) / line[i, P1, j]
-        try_inside(c, w, step, ahead, code, lowest, row)
-        for m in range(i + 1, line.shape[0]):
-            for j in range(w.size):
-                tried[j] = (line[m, P0, j] - line[i, P0, j]) / (line[i, P1, j] - line[m, P1, j])
-            try_inside(c, w, step, ahead, code, lowest, row)
+        best, chosen = np.inf, low[j]
+        nearest, farthest = reachable(low[j], high[j], w[j], step, ahead)
+        nearest, farthest = max(nearest, 0), min(farthest, velocities - 1)
+        switches = 2 + max(farthest + 1 - nearest, 0)
+        for trial in range(switches + line.shape[0] * corners):
+            if trial < 2:
+                u = high[j] if trial else low[j]
+            elif trial < switches:
+                u = (ahead.w_lo - w[j] + (nearest + trial - 2) * ahead.dw) / step
+            else:
+                i, m = (trial - switches) // corners, (trial - switches) % corners
+                load, gain, p0, p1 = line[i, LOAD, j], line[i, GAIN, j], line[i, P0, j], line[i, P1, j]
+                if m < line.shape[0]:
+                    u = (line[m, P0, j] - p0) / (p1 - line[m, P1, j])
+                elif m == line.shape[0]:
+                    u = (lowest - p0) / p1
+                else:
+                    u = -load / gain - (SWITCH_SHIFT if gain > 0.0 else -SWITCH_SHIFT)
+            if low[j] <= u <= high[j]:
+                cell, x, y, extra = locate(ahead, c + step * w[j] + half * u, w[j] + step * u)
+                price = blend(nodes, velocities, cell, x, y) + extra
+                if price < best:
+                    price += rate[j] * running_cost(u, j, code, lowest, line)
+                    if price < best:
+                        best, chosen = price, u
+        value[j], control[j] = best, chosen
 
 
 @njit(cache=True, error_model="numpy")
@@ -405,109 +410,20 @@ def best_controls(node, outside, c, w, k, stage, cylinder, setting, ahead, row):
         row: Out: `VALUE` [J] and `CONTROL` [m/s^2] of its states; the rest is scratch.
     """
     step, code, lowest = setting[STEP], int(setting[COST]), stage[k, FIXED_PRESSURE]
+    value, control, slope = row.state[VALUE], row.state[CONTROL], row.state[SLOPE]
     limit_controls(node, outside, w, k, stage, cylinder, setting, row)
     keep_to_nodes(w, ahead, step, row)
     charge(node, w, k, stage, cylinder, setting, code, row)
-    if code == LS or code == ACTUATOR:
+    for j in range(w.size):
+        value[j], control[j], slope[j] = np.inf, row.state[LOW, j], 0.0
+    priced = code == LS or code == ACTUATOR
+    if priced:
         load_lines(node, w, cylinder, setting, code, lowest, row)
-    value, base = row.state[VALUE], row.state[BASE]
+        settle_lines(w.size, code, lowest, row)
+    try_end(LOW, c, w, step, ahead, row)
+    try_end(HIGH, c, w, step, ahead, row)
+    try_nodes(c, w, step, ahead, row)
+    if priced:
+        try_mixed(c, w, step, ahead, code, lowest, row)
     for j in range(w.size):
-        value[j], row.state[CONTROL, j] = np.inf, row.state[LOW, j]
-    try_end(LOW, c, w, step, ahead, code, lowest, row)
-    try_end(HIGH, c, w, step, ahead, code, lowest, row)
-    try_nodes(c, w, step, ahead, code, lowest, row)
-    if code == LS or code == ACTUATOR:
-        try_switches(c, w, step, ahead, code, lowest, row)
-    for j in range(w.size):
-        value[j] += base[j]
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def sweep_stage(k, first, last, coefficients, outside, stage, cylinder, setting, ahead, here, values):
-    """One stage of the backward pass, for positions `first` to `last` - 1.
-
-    Args:
-        k: The stage.
-        first, last: Range of positions; ranges are independent, so threads may share a stage.
-        coefficients: Node tables, (stages + 1, positions, moving cylinders, COEFFICIENTS).
-        outside: Distance of each node from the feasible extensions [m], (stages + 1, positions).
-        stage: Grid and prescribed cylinders of each stage, (stages + 1, STAGE_COLUMNS).
-        cylinder: Moving cylinders, (moving cylinders, CYLINDER_COLUMNS).
-        setting: Scalars, (SETTINGS,).
-        ahead: Value of the next stage [J], (positions, velocities).
-        here: Out: value of this stage [J], (positions, velocities).
-        values: Out: value of every stage, (stages + 1, positions, velocities), any float type.
-    """
-    velocities = here.shape[1]
-    row = empty_row(velocities, coefficients.shape[2], velocities)
-    w = stage[k, W_LO] + stage[k, DW] * np.arange(velocities)
-    beyond = layer(ahead, stage, setting, k + 1)
-    for p in range(first, last):
-        c = stage[k, C_LO] + p * stage[k, DC]
-        best_controls(coefficients[k, p], outside[k, p], c, w, k, stage, cylinder, setting, beyond, row)
-        for j in range(velocities):
-            here[p, j] = row.state[VALUE, j]
-            values[k, p, j] = row.state[VALUE, j]
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def sweep(coefficients, outside, stage, cylinder, setting, terminal, values):
-    """Backward pass over all stages by one thread; arguments as in `sweep_stage`.
-
-    Args:
-        coefficients, outside, stage, cylinder, setting: The problem.
-        terminal: Value at the last stage [J], (positions, velocities).
-        values: Out: value of every stage, (stages + 1, positions, velocities), any float type.
-    """
-    stages, positions = stage.shape[0] - 1, terminal.shape[0]
-    ahead, here = terminal.copy(), np.empty_like(terminal)
-    values[stages] = terminal
-    for back in range(stages):
-        k = stages - 1 - back
-        sweep_stage(k, 0, positions, coefficients, outside, stage, cylinder, setting, ahead, here, values)
-        ahead, here = here, ahead
-
-
-@njit(cache=True, error_model="numpy")
-def rollout(coefficients, outside, stage, cylinder, setting, values, start, first, position, velocity, control):
-    """Forward pass by one-step look-ahead from an actual state at stage `first`.
-
-    At the actual position the node tables are interpolated linearly; the control minimises exact stage cost
-    plus interpolated value, so stored controls are never interpolated across a switch.
-
-    Args:
-        coefficients, outside, stage, cylinder, setting: As in `sweep`.
-        values: Values of all stages, (stages + 1, positions, velocities).
-        start: Position [m] and velocity [m/s] at stage `first`, (2,).
-        first: Stage the rollout begins at.
-        position, velocity: Out: states [m], [m/s], (stages + 1,); entries before `first` are left alone.
-        control: Out: accelerations [m/s^2], (stages,).
-
-    Returns:
-        Sum of the stage costs with penalties [J].
-    """
-    stages = stage.shape[0] - 1
-    n = coefficients.shape[2]
-    row = empty_row(1, n, values.shape[2])
-    node, here = np.empty((n, COEFFICIENTS)), np.empty(1)
-    position[first], velocity[first] = start[0], start[1]
-    step = setting[STEP]
-    total = 0.0
-    for k in range(first, stages):
-        c, w = position[k], velocity[k]
-        x = within((c - stage[k, C_LO]) / stage[k, DC], coefficients.shape[1] - 1.0)
-        i = min(int(x), coefficients.shape[1] - 2)
-        x -= i
-        for m in range(n):
-            for q in range(COEFFICIENTS):
-                node[m, q] = (1.0 - x) * coefficients[k, i, m, q] + x * coefficients[k, i + 1, m, q]
-        off = (1.0 - x) * outside[k, i] + x * outside[k, i + 1]
-        here[0] = w
-        ahead = layer(values[k + 1], stage, setting, k + 1)
-        best_controls(node, off, c, here, k, stage, cylinder, setting, ahead, row)
-        u = row.state[CONTROL, 0]
-        control[k] = u
-        position[k + 1] = c + step * (w + 0.5 * step * u)
-        velocity[k + 1] = w + step * u
-        total += row.state[VALUE, 0] - interpolate(ahead, position[k + 1], velocity[k + 1])
-    return total
+        value[j] += row.state[BASE, j]

@@ -1,6 +1,6 @@
 """Feedback: the best control from a state at any time, by one-step look-ahead over the rest of a stage.
 
-One compiled function, quick enough for a controller's cycle. At a stage it is the first step of `kernels.rollout`.
+One compiled function, quick enough for a controller's cycle. At a stage it is the first step of `passes.rollout`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def control(coefficients, outside, stage, cylinder, setting, values, k, share, c
     """The control of least cost from a state between two stages, until the next of them.
 
     Args:
-        coefficients, outside, stage, cylinder, setting: The problem, as in `kernels.sweep`.
+        coefficients, outside, stage, cylinder, setting: The problem, as in `passes.sweep`.
         values: Values of all stages, (stages + 1, positions, velocities).
         k: The stage.
         share: Share of it that is gone, from 0 to below 1.
