@@ -42,7 +42,7 @@ from leanboom.stages import Grid, Problem, Tables
 SLOPES = (20.0, 1.5, 1.5, 0.2)
 
 
-WORTH_SHARING = 600  # nodes of a stage that make another thread worth while
+WORTH_SHARING = 2000  # nodes of a stage that make another thread worth while
 STAGE_HIT = 1e-9  # times this close to a stage, relative to its length, are the stage's
 REACHED = 1e-9  # [m], [m/s]: states this far off the grid are on it
 
