@@ -71,12 +71,14 @@ def least_in_cell(found: cells.Bounds, pump: str, k: int, p: int, r: int, count:
     From states within the row's velocity bounds: the others can keep no limit further on.
     """
     held, problem = found.cells, found.cells.problem
-    c_lo, dc, _, _, i, _ = held.lattice[k]
+    low, high = held.rows[k][p : p + 2]
     slow, fast = held.edges[k][p, r : r + 2]
     share = np.linspace(-0.5, 0.5, count)
     limit = problem.crane.machine.redundant.acceleration_limit
-    dx, dy, u = np.meshgrid(dc * share, (fast - slow) * share, np.linspace(-limit, limit, 8 * count), indexing="ij")
-    c, w = c_lo + (i + p + 0.5) * dc + dx, 0.5 * (slow + fast) + dy
+    dx, dy, u = np.meshgrid(
+        (high - low) * share, (fast - slow) * share, np.linspace(-limit, limit, 8 * count), indexing="ij"
+    )
+    c, w = 0.5 * (low + high) + dx, 0.5 * (slow + fast) + dy
     cost, used = rates(problem, pump, k, c, w, u)
     next_c, next_w = c + problem.step * (w + 0.5 * problem.step * u), w + problem.step * u
     slowest, fastest = held.columns[k][p]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leanboom import cells, cellwise, load_task, stages
+from leanboom import cells, cellwise, load_task, motion, stages
 from leanboom import crane as cranes
 
 
@@ -36,7 +36,7 @@ def test_moved_edges_are_where_cylinders_surely_begin_to_be_driven(problem, rng)
         assert np.all(np.diff(edges, axis=1) > 0.0)
         assert np.abs(shift).max() <= cellwise.SNAP * lattice[cellwise.L_DW]
         for p, r in rng.permutation(np.argwhere(np.abs(shift) > 1e-12))[:20]:
-            c = lattice[cellwise.L_C] + (p + np.linspace(0.0, 1.0, 9)) * lattice[cellwise.L_DC]
+            c = np.linspace(*kept.rows[k][p : p + 2], 9)
             pose = cranes.pose(problem.crane, problem.plane[np.full(9, k)], c)
             speeds = [
                 np.abs(cranes.move(pose, edges[p, r], 0.0).velocity[i])
@@ -46,6 +46,26 @@ def test_moved_edges_are_where_cylinders_surely_begin_to_be_driven(problem, rng)
             # Some cylinder is beyond its threshold all over the row, and hardly so somewhere.
             assert any(np.all(v > threshold) and v.min() < 1.2 * threshold for v in speeds)
     assert moved > 50
+
+
+def still(problem) -> motion.Motion:
+    """A motion to narrow rows beside: the redundant cylinder is held."""
+    held = np.zeros(problem.stages + 1)
+    return motion.from_velocities(problem.step, problem.lower[0] + 0.1, held, "still", "cp")
+
+
+def test_rows_are_narrower_near_a_motion_and_fill_the_feasible_extensions(problem):
+    kept, beside = cells.whole(problem, "cp", still(problem)), still(problem)
+    for k, rows in enumerate(kept.rows):
+        assert rows[0] == pytest.approx(problem.lower[k], abs=1e-12)
+        assert rows[-1] == pytest.approx(problem.upper[k], abs=1e-12)
+        width = (problem.upper[k] - problem.lower[k]) / kept.positions
+        narrow = np.abs(0.5 * (rows[1:] + rows[:-1]) - beside.position[k]) < cells.NEAR - width
+        assert np.allclose(np.diff(rows)[narrow], width / cells.NARROWER)
+        far = np.abs(0.5 * (rows[1:] + rows[:-1]) - beside.position[k]) > cells.NEAR + width
+        assert np.allclose(np.diff(rows)[far], width)
+        if k < problem.stages:
+            assert kept.model[k].shape[0] == kept.active[k].shape[0] == rows.size - 1
 
 
 def chosen(kept: cells.Cells, rng: np.random.Generator, columns) -> tuple[np.ndarray, ...]:
@@ -60,7 +80,7 @@ def chosen(kept: cells.Cells, rng: np.random.Generator, columns) -> tuple[np.nda
 
 @pytest.mark.parametrize("pump", ["cp", "ls"])
 def test_smaller_cells_hold_every_state_of_the_cells_kept(problem, rng, pump):
-    kept = cells.whole(problem, pump)
+    kept = cells.whole(problem, pump, still(problem))
     for columns in (slice(14, 26), [0, -1]):  # the second time at the sides of the windows
         excess = chosen(kept, rng, columns)
         finer = cells.refine(kept, excess)
@@ -68,8 +88,7 @@ def test_smaller_cells_hold_every_state_of_the_cells_kept(problem, rng, pump):
             for p, r in rng.permutation(np.argwhere(np.isfinite(excess[k])))[:60]:
                 slow, fast = kept.edges[k][p, r : r + 2]
                 for w in slow + (fast - slow) * np.array([0.001, rng.random(), 0.999]):
-                    c = kept.lattice[k, cellwise.L_I] + p + rng.random()
-                    row = int(2.0 * c) - int(finer.lattice[k, cellwise.L_I])
+                    row = int(np.searchsorted(finer.rows[k], rng.uniform(*kept.rows[k][p : p + 2]))) - 1
                     edges = finer.edges[k][row]
                     assert edges[0] <= w <= edges[-1]
                     assert finer.active[k][row, int(np.searchsorted(edges, w)) - 1] == 0.0

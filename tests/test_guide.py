@@ -95,11 +95,11 @@ def test_slopes_are_those_of_the_least_cost_to_go(loader, pump):
         total = cost + values(c + step * (w + 0.5 * step * u) - problem.lower[k + 1], w + step * u)
         return np.min(total[used <= 1.0])
 
-    lattice, middles, compared = kept.lattice[k], kept.middles(k), 0
-    width = lattice[1]
+    rows, middles, compared = kept.rows[k], kept.middles(k), 0
+    width = rows[1] - rows[0]
     row, column = known._nearest(kept, k)  # noqa: SLF001
     for p in range(40, 120, 27):
-        c = lattice[0] + (p + 0.5) * width
+        c = 0.5 * (rows[p] + rows[p + 1])
         for r in np.nonzero((column[p] == np.arange(middles.shape[1])) & (row[p] == p))[0]:
             w, high = middles[p, r], kept.edges[k][p, r + 1] - kept.edges[k][p, r]
             share = (-REACH, 0.0, REACH)

@@ -22,10 +22,7 @@ import numpy as np
 from numba import njit
 
 from leanboom.cellwise import (
-    L_C,
-    L_DC,
     L_DW,
-    L_I,
     L_J,
     L_W,
     MOTION,
@@ -225,8 +222,8 @@ def sharpen(  # noqa: PLR0913
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def cells(  # noqa: PLR0913
-    kind, first, last, model, here, there, edges, edges_ahead, columns, columns_ahead, fixed, cylinder, setting,
-    limit, active, planes, ahead, found,
+    kind, first, last, model, there, rows, rows_ahead, edges, edges_ahead, columns, columns_ahead, fixed, cylinder,
+    setting, limit, active, planes, ahead, found,
 ):  # fmt: skip
     """One pass over the cells of a stage, rows `first` to `last` - 1 of its window.
 
@@ -235,7 +232,8 @@ def cells(  # noqa: PLR0913
             are given. FORWARD: least excess with which cells of the next stage are reached.
         first, last: Rows.
         model: Enclosures of the stage's coefficients over position cells, (rows, moving, COEFFICIENTS, 4).
-        here, there: Lattices of this and the next stage, (LATTICE,).
+        there: Lattice of the next stage, (LATTICE,).
+        rows, rows_ahead: Edges of the rows of both windows [m], (rows + 1,).
         edges, edges_ahead: Edges of the cells of both windows in velocity [m/s], (rows, columns + 1).
         columns, columns_ahead: Admissible velocities over position cells of both windows [m/s], (rows, 2).
         fixed: Flow [m^3/s] and counted pressure [Pa] of the prescribed cylinders, (2,).
@@ -255,16 +253,14 @@ def cells(  # noqa: PLR0913
     form, direction = np.zeros(FORM), np.zeros(FORM)
     sigma, turn = np.zeros(n), np.zeros(2)
     rate = step / setting[EFFICIENCY]
-    dc, half_c = here[L_DC], 0.5 * here[L_DC]
     # Edges off the lattice: only where power jumps.
     off = SNAP if int(setting[COST]) == LS else 0.0
-    next_dc, next_dw, next_half = there[L_DC], there[L_DW], (0.5 + off) * there[L_DW]
-    i_ahead, j_ahead = int(there[L_I]), int(there[L_J])
-    inverse = 1.0 / half_c
-    lead = 0
+    next_dw, next_half, j_ahead = there[L_DW], (0.5 + off) * there[L_DW], int(there[L_J])
+    lead = i_first = 0
     for p in range(first, last):
         expand(model, p, coefficients)
-        c = here[L_C] + (here[L_I] + p + 0.5) * dc
+        c, half_c = 0.5 * (rows[p + 1] + rows[p]), 0.5 * (rows[p + 1] - rows[p])
+        inverse = 1.0 / half_c
         for r in range(active.shape[1]):
             if active[p, r] == np.inf:
                 continue
@@ -314,8 +310,10 @@ def cells(  # noqa: PLR0913
                     drift = c + 0.5 * step * (w + next_w)
                     low = drift + half_c * whole[0, 0] + 0.5 * step * (whole[0, 1] + whole[0, 2]) - ON_LIMIT
                     high = drift + half_c * whole[1, 0] + 0.5 * step * (whole[1, 1] + whole[1, 2]) + ON_LIMIT
-                    i_first = max(int(np.floor((low - there[L_C]) / next_dc)), int(there[L_I]))
-                    i_last = min(int(np.floor((high - there[L_C]) / next_dc)), int(there[L_I]) + ahead.shape[0] - 1)
+                    while i_first > 0 and rows_ahead[i_first] > low:
+                        i_first -= 1
+                    while i_first < ahead.shape[0] - 1 and rows_ahead[i_first + 1] < low:
+                        i_first += 1
                     supply_m, supply_t = forms[chosen, 0], forms[chosen, 1]
                     supply_x, supply_y = forms[chosen, 2], forms[chosen, 3]
                     cost_m = rate * (f0 * supply_m - rest)
@@ -325,23 +323,25 @@ def cells(  # noqa: PLR0913
                     if kind != MIDDLE:
                         cost_t -= planes[p, r, 1] * half_c
                         cost_x -= planes[p, r, 2]
-                    for i in range(i_first, i_last + 1):
-                        row, column = i - i_ahead, j - j_ahead
+                    column = j - j_ahead
+                    for row in range(i_first, ahead.shape[0]):
+                        bottom_c, top_c = rows_ahead[row], rows_ahead[row + 1]
+                        if bottom_c > high:
+                            break
                         level = ahead[row, column, 0]
                         if level == np.inf:
                             continue
                         bottom, top = edges_ahead[row, column], edges_ahead[row, column + 1]
                         y_lo = max(whole[0, 2], max(columns_ahead[row, 0], bottom) - next_w)
                         y_hi = min(whole[1, 2], min(columns_ahead[row, 1], top) - next_w)
-                        edge = there[L_C] + i * next_dc
-                        low = (edge - ON_LIMIT - drift - 0.5 * step * (whole[1, 1] + y_hi)) * inverse
-                        high = (edge + next_dc + ON_LIMIT - drift - 0.5 * step * (whole[0, 1] + y_lo)) * inverse
-                        t_lo, t_hi = max(whole[0, 0], low), min(whole[1, 0], high)
+                        t_lo = (bottom_c - ON_LIMIT - drift - 0.5 * step * (whole[1, 1] + y_hi)) * inverse
+                        t_hi = (top_c + ON_LIMIT - drift - 0.5 * step * (whole[0, 1] + y_lo)) * inverse
+                        t_lo, t_hi = max(whole[0, 0], t_lo), min(whole[1, 0], t_hi)
                         if t_lo > t_hi or y_lo > y_hi:
                             continue
                         slope_c, slope_w = ahead[row, column, 1], ahead[row, column, 2]
                         lean = 0.5 * step * slope_c
-                        g0 = cost_m + level + slope_c * (drift - edge - 0.5 * next_dc)
+                        g0 = cost_m + level + slope_c * (drift - 0.5 * (bottom_c + top_c))
                         g0 += slope_w * (next_w - 0.5 * (bottom + top))
                         gt, gx, gy = cost_t + slope_c * half_c, cost_x + lean, cost_y + lean + slope_w
                         value = g0 + gt * (t_lo if gt > 0.0 else t_hi)
@@ -357,18 +357,19 @@ def cells(  # noqa: PLR0913
                             for v in range(FORM):
                                 supply[v] = forms[chosen, v]
                             floor = ahead[row, column, 3]
-                            if level - 0.5 * (abs(slope_c) * next_dc + abs(slope_w) * (top - bottom)) < floor:
+                            span = abs(slope_c) * (top_c - bottom_c) + abs(slope_w) * (top - bottom)
+                            if level - 0.5 * span < floor:
                                 # The cost to go is not below the floor either: any mean of plane and floor will do.
                                 direction[0] = floor - (g0 - cost_m)
                                 direction[1], direction[2], direction[3] = -slope_c * half_c, -lean, -lean - slope_w
                                 ascend(form, direction, 0.0, 1.0, box)
                             # Only where the next position is in its cell.
-                            if kind != MIDDLE and edge - low_end(drift, half_c, step, box) > 0.0:
-                                direction[0], direction[1] = edge - ON_LIMIT - drift, -half_c
+                            if kind != MIDDLE and bottom_c - low_end(drift, half_c, step, box) > 0.0:
+                                direction[0], direction[1] = bottom_c - ON_LIMIT - drift, -half_c
                                 direction[2] = direction[3] = -0.5 * step
                                 ascend(form, direction, 0.0, np.inf, box)
-                            if kind != MIDDLE and high_end(drift, half_c, step, box) - edge - next_dc > 0.0:
-                                direction[0], direction[1] = drift - edge - next_dc - ON_LIMIT, half_c
+                            if kind != MIDDLE and high_end(drift, half_c, step, box) - top_c > 0.0:
+                                direction[0], direction[1] = drift - top_c - ON_LIMIT, half_c
                                 direction[2] = direction[3] = 0.5 * step
                                 ascend(form, direction, 0.0, np.inf, box)
                             value = sharpen(

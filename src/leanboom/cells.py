@@ -16,18 +16,21 @@ import numpy as np
 
 from leanboom import bounds, cellwise, enclosure, kernels, stages, viability
 from leanboom import crane as cranes
-from leanboom.cellwise import L_C, L_DC, L_DW, L_I, L_W, LATTICE
+from leanboom.cellwise import L_DW, L_J, L_W, LATTICE
 from leanboom.enclosure import Enclosure
 from leanboom.motion import Motion
 from leanboom.stages import Problem
 from leanboom.viability import Viable
 
-POSITION = 0.006  # [m], largest width of a cell of the first level
+POSITION = 0.006  # [m], largest width of a row of the first level
+NEAR, NARROWER = 0.1, 4  # [m], from a motion to which rows beside it are so many times narrower
 VELOCITY = 0.01  # [m/s], largest height of a cell of the first level
 UNKNOWN = 1e30  # error of a coefficient that cannot be enclosed over a cell
 SHARES = 8  # parts a thread takes of a stage: rows differ in work
 AT_REST = 1e-6  # [m/s], velocity below which a motion ends at rest
+ON_ROW = 1e-9  # [m], by which a position may be off a row to be counted in it
 ON_EDGE = 1e-10  # [m/s], by which a velocity may be off a cell to be counted in it
+THIN = 1e-9  # [m], least range of a stage's positions
 CLOSE = 1e-6  # [m], [m/s], least distance of middles for a slope
 BENT = 0.25  # a plane that loses more than this share of what it rises over its cell is tried again, level
 
@@ -38,11 +41,12 @@ class Cells:
 
     problem: Problem
     cost: str
-    positions: int  # cells between the ends of a stage's feasible extensions
+    positions: int  # rows between the ends of a stage's feasible extensions, narrower ones apart
     velocities: int  # cells between the limits of the redundant cylinder's velocity
     lattice: np.ndarray  # (stages + 1, cellwise.LATTICE)
     active: tuple[np.ndarray, ...]  # 0 where a cell is kept, inf where not, (rows, columns) a stage
     model: tuple[np.ndarray, ...]  # enclosures of the coefficients, (rows, moving, COEFFICIENTS, 4) a stage
+    rows: tuple[np.ndarray, ...]  # edges of the rows of cells [m], (rows + 1,) a stage and the end
     edges: tuple[np.ndarray, ...]  # of the cells in velocity [m/s], (rows, columns + 1) a stage and the end
     columns: tuple[np.ndarray, ...]  # admissible velocities of each row [m/s], (rows, 2) a stage and the end
     fixed: np.ndarray  # pump flow [m^3/s] and pressure [Pa] of prescribed cylinders, (stages + 1, 2)
@@ -58,6 +62,11 @@ class Cells:
     def middles(self, k: int) -> np.ndarray:
         """Velocities in the middle of a stage's cells [m/s], (rows, columns)."""
         return 0.5 * (self.edges[k][:, 1:] + self.edges[k][:, :-1])
+
+    def share(self, k: int, position: np.ndarray) -> np.ndarray:
+        """Positions [m] as shares of a stage's feasible extensions."""
+        lower, upper = self.problem.lower[k], self.problem.upper[k]
+        return (position - lower) / max(upper - lower, THIN)
 
 
 GivenSlopes = Callable[[Cells, int], np.ndarray]  # as `guide.Guide.slopes`
@@ -83,69 +92,99 @@ class OutOfTime(Exception):
     """The time given to a bound is over."""
 
 
-def whole(problem: Problem, cost: str) -> Cells:
-    """The first level: all feasible extensions and all velocities of every stage."""
+def whole(problem: Problem, cost: str, beside: Motion | None = None, viable: Viable | None = None) -> Cells:
+    """The first level: all feasible extensions and all velocities of every stage.
+
+    Args:
+        problem: The discretised task.
+        cost: A name of `objective.COSTS`.
+        beside: A motion near which rows are narrower.
+        viable: Viable velocities, where they are known.
+    """
     limit = problem.crane.machine.redundant.velocity_limit
     positions = max(2, int(np.ceil(np.max(problem.upper - problem.lower) / POSITION)))
     velocities = 2 * int(np.ceil(limit / VELOCITY))
-    shapes = [(positions, velocities)] * problem.stages
-    return _cut(problem, cost, positions, velocities, shapes, np.zeros((problem.stages, 2), dtype=int), None)
+    rows = [_rows(problem, k, positions, beside) for k in range(problem.stages + 1)]
+    corner = np.zeros(problem.stages, dtype=int)
+    return _cut(problem, cost, (positions, velocities), rows, [velocities] * problem.stages, corner, viable)
+
+
+def _rows(problem: Problem, k: int, positions: int, beside: Motion | None) -> np.ndarray:
+    """Edges of the rows of a stage [m]: `positions` equal ones, those near the motion cut into narrower ones."""
+    low, high = problem.lower[k], max(problem.upper[k], problem.lower[k] + THIN)
+    edges = np.arange(positions + 1.0)
+    if beside is not None:
+        fine = np.arange(positions * NARROWER + 1.0) / NARROWER
+        away = np.abs(low + (high - low) * (np.floor(fine) + 0.5) / positions - beside.position[k])
+        edges = fine[(away < NEAR) | (fine == np.floor(fine))]
+    return low + (high - low) * edges / positions
 
 
 def _cut(  # noqa: PLR0913
-    problem: Problem, cost: str, positions: int, velocities: int, shapes, corner: np.ndarray, viable: Viable | None
-) -> Cells:
-    """Cells of a resolution, all active: `corner` is the first row and column of each stage's window, (stages, 2).
+    problem: Problem, cost: str, size: tuple[int, int], rows: list[np.ndarray], counts: list[int], corner: np.ndarray,
+    viable: Viable | None,
+) -> Cells:  # fmt: skip
+    """Cells of a resolution, all active.
 
-    Viable velocities are looked for, where none are given, on windows that are whole stages.
+    Args:
+        problem: The discretised task.
+        cost: A name of `objective.COSTS`.
+        size: Rows and columns of a whole stage.
+        rows: Edges of the rows of every stage's window and of the end [m].
+        counts: Columns of the windows.
+        corner: First column of the windows, (stages,).
+        viable: Viable velocities; looked for, where none are given, on windows that are whole stages.
     """
     limit = problem.crane.machine.redundant.velocity_limit
-    n = problem.stages
+    n, (positions, velocities) = problem.stages, size
     lattice = np.zeros((n + 1, LATTICE))
-    lattice[:, L_C] = problem.lower
-    lattice[:, L_DC] = np.maximum(problem.upper - problem.lower, 1e-9) / positions
     lattice[:n, L_W] = -limit
     lattice[:n, L_DW] = 2.0 * limit / velocities
-    lattice[:n, L_I:] = corner
+    lattice[:n, L_J] = corner
     cylinder = stages.cylinder_table(problem)
     setting = stages.setting(problem, cost, (0.0, 0.0, 0.0, 0.0))
     setting[kernels.EPSILON] = problem.crane.machine.driven_velocity
-    model = enclosures(problem, lattice, [rows for rows, _ in shapes])
-    columns = [np.tile([-limit, limit], (rows, 1)) for rows, _ in shapes]
-    edges = [np.zeros((rows, count + 1)) for rows, count in shapes]
+    model = enclosures(problem, rows[:n])
+    columns = [np.tile([-limit, limit], (edges.size - 1, 1)) for edges in rows]
+    edges = [np.zeros((stage.shape[0], count + 1)) for stage, count in zip(model, counts, strict=True)]
     for k, stage in enumerate(model):
         cellwise.velocity_columns(stage, cylinder, columns[k])
         cellwise.place_edges(stage, setting, lattice[k], edges[k])
-    edges.append(np.zeros((positions, 2)))
-    viable = viable or viability.find(lattice, model, columns, cylinder, problem.step)
-    for k, rows in enumerate(columns):
-        first = (corner[k, 0] + np.arange(len(rows))) / positions
-        low, high = viable.within(k, first, first + 1.0 / positions)
-        rows[:, 0], rows[:, 1] = np.maximum(rows[:, 0], low), np.minimum(rows[:, 1], high)
-    columns.append(np.zeros((positions, 2)))  # the end: at rest
-    flow, pressure, _ = stages.prescribed(problem, cost)
-    fixed = np.stack([flow, pressure], axis=1)
-    return Cells(
-        problem, cost, positions, velocities, lattice, tuple(np.zeros(shape) for shape in shapes), model, tuple(edges),
-        tuple(columns), fixed, cylinder, setting, viable,
+    edges.append(np.zeros((rows[n].size - 1, 2)))
+    columns[n] = np.zeros((rows[n].size - 1, 2))  # the end: at rest
+    viable = viable or viability.find(viability.BINS * positions, tuple(rows), model, columns, cylinder, problem.step)
+    cells = Cells(
+        problem, cost, positions, velocities, lattice,
+        tuple(np.zeros((stage.shape[0], count)) for stage, count in zip(model, counts, strict=True)), model,
+        tuple(rows), tuple(edges), tuple(columns), _fixed(problem, cost), cylinder, setting, viable,
     )  # fmt: skip
+    for k in range(n):
+        share = cells.share(k, rows[k])
+        low, high = viable.within(k, share[:-1], share[1:])
+        columns[k][:, 0], columns[k][:, 1] = np.maximum(columns[k][:, 0], low), np.minimum(columns[k][:, 1], high)
+    return cells
 
 
-def enclosures(problem: Problem, lattice: np.ndarray, rows: list[int]) -> tuple[np.ndarray, ...]:
+def _fixed(problem: Problem, cost: str) -> np.ndarray:
+    """Pump flow [m^3/s] and pressure [Pa] of the prescribed cylinders, (stages + 1, 2)."""
+    flow, pressure, _ = stages.prescribed(problem, cost)
+    return np.stack([flow, pressure], axis=1)
+
+
+def enclosures(problem: Problem, rows: list[np.ndarray]) -> tuple[np.ndarray, ...]:
     """Enclosures of all coefficients over the position cells of every stage's window.
 
     Args:
         problem: The discretised task.
-        lattice: Where the cells are, (stages + 1, LATTICE).
-        rows: Number of position cells of each window, (stages,).
+        rows: Edges of the rows of each window [m], (rows + 1,) a stage.
 
     Returns:
         Per stage an array (rows, moving, kernels.COEFFICIENTS, 4): p0, p1, p2 and error of `enclosure.Enclosure`.
     """
-    stage = np.repeat(np.arange(len(rows)), rows)
-    row = np.concatenate([np.arange(count) for count in rows]) + lattice[stage, L_I]
-    half = 0.5 * lattice[stage, L_DC]
-    middle = lattice[stage, L_C] + half * (2.0 * row + 1.0)
+    counts = [edges.size - 1 for edges in rows]
+    stage = np.repeat(np.arange(len(rows)), counts)
+    half = np.concatenate([0.5 * np.diff(edges) for edges in rows])
+    middle = np.concatenate([0.5 * (edges[1:] + edges[:-1]) for edges in rows])
     with np.errstate(all="ignore"):  # beside a singular pose bounds may be infinite
         pose = cranes.pose(problem.crane, problem.plane[stage], enclosure.variable(middle, half))
         motions = [cranes.move(pose, w, u) for w, u in ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
@@ -164,7 +203,7 @@ def enclosures(problem: Problem, lattice: np.ndarray, rows: list[int]) -> tuple[
                     out[:, m, q, part] = getattr(model, name)
     out[..., 3] += enclosure.ROUNDING * np.abs(out[..., :3]).sum(axis=-1)
     out[~np.isfinite(out).all(axis=-1) | (out[..., 3] > UNKNOWN)] = (0.0, 0.0, 0.0, UNKNOWN)
-    return tuple(np.split(out, np.cumsum(rows)[:-1]))
+    return tuple(np.split(out, np.cumsum(counts)[:-1]))
 
 
 def bound(
@@ -182,7 +221,7 @@ def bound(
         The bounds.
     """
     n = cells.problem.stages
-    planes: list[np.ndarray] = [np.empty(0)] * n + [np.zeros((cells.positions, 1, 4))]
+    planes: list[np.ndarray] = [np.empty(0)] * n + [np.zeros((cells.rows[n].size - 1, 1, 4))]
     with _Pool(cells) as pool:
         given = pool.later(guide, n - 1)
         for k in range(n - 1, -1, -1):
@@ -198,10 +237,11 @@ def _planes(pool: _Pool, k: int, ahead: np.ndarray) -> np.ndarray:
     cells, active = pool.cells, pool.cells.active[k]
     here = np.zeros((*active.shape, 4))
     middle = pool.run(bounds.MIDDLE, k, active, here, ahead)
-    here[..., 1] = slopes(middle, 0, cells.lattice[k, L_DC] * np.arange(active.shape[0])[:, None])
+    rows = cells.rows[k]
+    here[..., 1] = slopes(middle, 0, 0.5 * (rows[1:] + rows[:-1])[:, None])
     here[..., 2] = slopes(middle, 1, cells.middles(k))
     level = pool.run(bounds.PLANE, k, active, here, ahead)
-    rise = np.abs(here[..., 1]) * cells.lattice[k, L_DC] + np.abs(here[..., 2]) * np.diff(cells.edges[k], axis=1)
+    rise = np.abs(here[..., 1]) * np.diff(rows)[:, None] + np.abs(here[..., 2]) * np.diff(cells.edges[k], axis=1)
     with np.errstate(invalid="ignore"):
         bent = np.isfinite(level) & ~(middle - level <= BENT * rise)
     if bent.any():
@@ -263,15 +303,15 @@ def slopes(values: np.ndarray, axis: int, at: np.ndarray) -> np.ndarray:
 
 def _at_start(cells: Cells, planes: np.ndarray, start: float | None) -> np.ndarray:
     """Least value over the start states of each cell of stage 0, inf where a cell holds none."""
-    c_lo, dc = cells.lattice[0, L_C], cells.lattice[0, L_DC]
+    rows = cells.rows[0]
+    half, middle = 0.5 * np.diff(rows), 0.5 * (rows[1:] + rows[:-1])
     off = -cells.middles(0)  # from the middle to rest
-    middle = c_lo + (cells.lattice[0, L_I] + np.arange(planes.shape[0]) + 0.5) * dc
     if start is None:
-        low, high = np.full(middle.size, -0.5 * dc), np.full(middle.size, 0.5 * dc)
+        low, high = -half, half
         inside = np.ones(middle.size, dtype=bool)
     else:
         low = high = start - middle
-        inside = np.abs(low) <= 0.5 * dc + bounds.ON_LIMIT
+        inside = np.abs(low) <= half + bounds.ON_LIMIT
     value = planes[..., 0] + planes[..., 2] * off
     value = value + np.minimum(planes[..., 1] * low[:, None], planes[..., 1] * high[:, None])
     value = np.maximum(value, np.where(np.isfinite(planes[..., 0]), planes[..., 3], np.inf))
@@ -303,32 +343,42 @@ def reach(found: Bounds, limit: float, check: Callable[[float], None]) -> tuple[
 
 def refine(cells: Cells, excess: tuple[np.ndarray, ...]) -> Cells | None:
     """The cells that can still be entered, halved in both directions; None where there are none."""
-    corner, shapes, kept = np.zeros((cells.problem.stages, 2), dtype=int), [], []
+    n = cells.problem.stages
+    corner, counts, halved, kept = np.zeros(n, dtype=int), [], [], []
     for k, reached in enumerate(excess):
-        kept.append(np.isfinite(reached))
-        rows, columns = np.nonzero(kept[k].any(axis=1))[0], np.nonzero(kept[k].any(axis=0))[0]
+        some = np.isfinite(reached)
+        rows, columns = np.nonzero(some.any(axis=1))[0], np.nonzero(some.any(axis=0))[0]
         if rows.size == 0:
             return None
+        kept.append(some[rows[0] : rows[-1] + 1])
+        halved.append(_halved(cells.rows[k][rows[0] : rows[-1] + 2]))
         # Edges of both levels are moved, by less than half a cell each: a neighbour may take over a strip.
-        origin = cells.lattice[k, L_I:].astype(int)
-        first, last = max(origin[1] + columns[0] - 1, 0), min(origin[1] + columns[-1] + 1, cells.velocities - 1)
-        corner[k] = 2 * (origin[0] + rows[0]), 2 * first
-        shapes.append((2 * (rows[-1] - rows[0] + 1), 2 * (last - first + 1)))
-    finer = _cut(cells.problem, cells.cost, 2 * cells.positions, 2 * cells.velocities, shapes, corner, cells.viable)
-    return replace(finer, active=tuple(_within(cells, kept[k], finer, k) for k in range(cells.problem.stages)))
+        origin = int(cells.lattice[k, L_J])
+        first, last = max(origin + columns[0] - 1, 0), min(origin + columns[-1] + 1, cells.velocities - 1)
+        corner[k] = 2 * first
+        counts.append(2 * (last - first + 1))
+    halved.append(_halved(cells.rows[n]))
+    size = 2 * cells.positions, 2 * cells.velocities
+    finer = _cut(cells.problem, cells.cost, size, halved, counts, corner, cells.viable)
+    return replace(finer, active=tuple(_within(cells, kept[k], finer, k) for k in range(n)))
+
+
+def _halved(edges: np.ndarray) -> np.ndarray:
+    """Edges with the middles between them."""
+    return np.append(np.stack([edges[:-1], 0.5 * (edges[1:] + edges[:-1])], axis=1), edges[-1])
 
 
 def _within(cells: Cells, kept: np.ndarray, finer: Cells, k: int) -> np.ndarray:
     """Which cells of a finer level share states with a kept cell of a stage: 0, or inf where there are none."""
     edges = finer.edges[k]
-    origin = cells.lattice[k, L_I:].astype(int)
-    corner = finer.lattice[k, L_I:].astype(int)
-    row = (corner[0] + np.arange(edges.shape[0])) // 2 - origin[0]
-    column = (corner[1] + np.arange(edges.shape[1] - 1)) // 2 - origin[1]
+    first = int(np.searchsorted(cells.rows[k], finer.rows[k][0]))
+    row = np.arange(edges.shape[0]) // 2
+    column = (int(finer.lattice[k, L_J]) + np.arange(edges.shape[1] - 1)) // 2 - int(cells.lattice[k, L_J])
     shared = np.zeros((row.size, column.size), dtype=bool)
     for beside in (-1, 0, 1):
         other = np.clip(column + beside, 0, kept.shape[1] - 1)
-        low, high = cells.edges[k][row[:, None], other], cells.edges[k][row[:, None], other + 1]
+        low = cells.edges[k][first + row[:, None], other]
+        high = cells.edges[k][first + row[:, None], other + 1]
         shared |= kept[row[:, None], other] & (low < edges[:, 1:]) & (high > edges[:, :-1])
     return np.where(shared, 0.0, np.inf)
 
@@ -345,16 +395,14 @@ def value_at(found: Bounds, k: int, position: float, velocity: float) -> float:
     """Lower bound of the cost to go from a state [J]: the least of the cells it lies in; inf where there is none."""
     if k == found.cells.problem.stages:
         return 0.0 if abs(velocity) < AT_REST else np.inf
-    planes, edges, lattice = found.planes[k], found.cells.edges[k], found.cells.lattice[k]
-    x = (position - lattice[L_C]) / lattice[L_DC] - lattice[L_I]
+    planes, edges, rows = found.planes[k], found.cells.edges[k], found.cells.rows[k]
     least = np.inf
-    for i in {int(np.floor(x - 1e-6)), int(np.floor(x + 1e-6))}:
-        if not 0 <= i < planes.shape[0]:
-            continue
+    touched = (rows[:-1] - ON_ROW <= position) & (position <= rows[1:] + ON_ROW)
+    for i in np.nonzero(touched)[0]:
         inside = (edges[i, :-1] - ON_EDGE <= velocity) & (velocity <= edges[i, 1:] + ON_EDGE)
         for j in np.nonzero(inside & np.isfinite(planes[i, :, 0]))[0]:
             level, slope_c, slope_w, floor = planes[i, j]
-            value = level + slope_c * (x - i - 0.5) * lattice[L_DC]
+            value = level + slope_c * (position - 0.5 * (rows[i] + rows[i + 1]))
             value += slope_w * (velocity - 0.5 * (edges[i, j] + edges[i, j + 1]))
             least = min(least, max(value, floor))
     return least
@@ -380,14 +428,14 @@ def residuals(found: Bounds, motion: Motion, costs: np.ndarray) -> np.ndarray:
 def prepare() -> None:
     """Load the compiled kernels, compiling them on the very first run, by bounding a stage of one cell."""
     model, one = np.zeros((1, 1, kernels.COEFFICIENTS, 4)), np.zeros((1, 1))
-    columns, lattice = np.zeros((1, 2)), np.ones(LATTICE)
+    columns, lattice, rows = np.zeros((1, 2)), np.ones(LATTICE), np.arange(2.0)
     cylinder, setting = np.ones((1, kernels.CYLINDER_COLUMNS)), np.ones(kernels.SETTINGS)
     cellwise.velocity_columns(model, cylinder, columns)
     cellwise.place_edges(model, setting, lattice, np.zeros((1, 2)))
-    viability.find(np.ones((2, LATTICE)), (model,), [columns], cylinder, 1.0)
+    viability.find(1, (rows, rows), (model,), [columns], cylinder, 1.0)
     bounds.cells(
-        bounds.PLANE, 0, 1, model, lattice, lattice, columns, columns, columns, columns, np.zeros(2), cylinder, setting,
-        0.0, one, np.zeros((1, 1, 4)), np.zeros((1, 1, 4)), one,
+        bounds.PLANE, 0, 1, model, lattice, rows, rows, columns, columns, columns, columns, np.zeros(2), cylinder,
+        setting, 0.0, one, np.zeros((1, 1, 4)), np.zeros((1, 1, 4)), one,
     )  # fmt: skip
 
 
@@ -422,7 +470,7 @@ class _Pool:
         edges = [0, *(int(np.searchsorted(work, work[-1] * q / parts)) for q in range(1, parts)), active.shape[0]]
         jobs = [
             self.pool.submit(
-                bounds.cells, kind, first, last, cells.model[k], cells.lattice[k], cells.lattice[k + 1],
+                bounds.cells, kind, first, last, cells.model[k], cells.lattice[k + 1], cells.rows[k], cells.rows[k + 1],
                 cells.edges[k], cells.edges[k + 1], cells.columns[k], cells.columns[k + 1], cells.fixed[k],
                 cells.cylinder, cells.setting, limit, active, planes, ahead, found[part % len(found)],
             )

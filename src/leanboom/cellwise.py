@@ -39,9 +39,9 @@ from leanboom.kernels import (
     VISCOUS,
 )
 
-# Entries of a lattice: one stage's cells. Window: first row and column present in the arrays of that stage.
-L_C, L_DC, L_W, L_DW, L_I, L_J = range(6)
-LATTICE = 6
+# Entries of a lattice, one stage's cells in velocity: first edge, height, first column in the arrays of that stage.
+L_W, L_DW, L_J = range(3)
+LATTICE = 3
 
 # Columns of the scratch arrays of a cell, one row a moving cylinder.
 V_M, V_T, V_X, V_E, V_SIDE = range(5)  # velocity: middle, slopes, error; direction: +1, -1, 0 unknown

@@ -176,9 +176,10 @@ def _bound(
             found = cells.bound(kept, start, clock, chosen)
             if not levels and _gap(best.energy, found.lower) > gap and guide.memory(problem) < 0.5 * dp.free_memory():
                 known = guide.make(problem, pump, kept.viable)
-                guided = cells.bound(kept, start, clock, known.slopes)
+                narrow = cells.whole(problem, pump, best.motion, kept.viable)
+                guided = cells.bound(narrow, start, clock, known.slopes)
                 if guided.lower > found.lower:
-                    found, chosen = guided, known.slopes
+                    kept, found, chosen = narrow, guided, known.slopes
             if not np.isfinite(found.lower) and not levels:
                 raise InfeasibleError("proven: no motion of the discretised problem keeps every limit")
             _check_along(found, best)

@@ -21,10 +21,6 @@ from leanboom import dp, stages
 from leanboom.bounds import FORM, cell_flow, supply_forms
 from leanboom.cells import Cells
 from leanboom.cellwise import (
-    L_C,
-    L_DC,
-    L_I,
-    LATTICE,
     MOTION,
     ON_LIMIT,
     V_SIDE,
@@ -85,11 +81,11 @@ class Guide:
             least, next_w = np.empty(line.size), np.empty(line.size)
             ridge(values, stage, setting, k + 1, line, least, next_w)
             follow(
-                cells.model[k], cells.lattice[k], cells.edges[k], cells.cylinder, values, stage, setting, k + 1, line,
+                cells.model[k], cells.rows[k], cells.edges[k], cells.cylinder, values, stage, setting, k + 1, line,
                 least, next_w, cells.active[k], *self._nearest(cells, k), found,
             )  # fmt: skip
         charge(
-            cells.model[k], cells.lattice[k], cells.edges[k], cells.cylinder, cells.setting, cells.fixed[k],
+            cells.model[k], cells.rows[k], cells.edges[k], cells.cylinder, cells.setting, cells.fixed[k],
             cells.active[k], found,
         )  # fmt: skip
         return found
@@ -97,7 +93,7 @@ class Guide:
     def _nearest(self, cells: Cells, k: int) -> tuple[np.ndarray, np.ndarray]:
         """For every cell the nearest that keeps the margin: rows, (rows,), and columns, (rows, columns)."""
         edges, aside = cells.edges[k], MARGIN * self.policy.tables.stage[k, DW]
-        share = (cells.lattice[k, L_I] + np.arange(edges.shape[0] + 1)) / cells.positions
+        share = cells.share(k, cells.rows[k])
         apart = MARGIN / (self.policy.grid.positions - 1)
         below, above = share[:-1] - apart, share[1:] + apart
         low = np.where(below < 0.0, np.inf, self.viable.within(k, below, below)[0]) + aside
@@ -163,20 +159,20 @@ def least_ahead(ahead, step, line, least, next_w, c, w, lo, hi):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def follow(model, here, edges, cylinder, values, stage, setting, k, line, least, next_w, active, row, column, slope):
+def follow(model, rows, edges, cylinder, values, stage, setting, k, line, least, next_w, active, row, column, slope):
     """Slopes over a stage's cells of what follows after the stage.
 
     Args:
-        model, here, edges, cylinder, active: As in `bounds.cells`.
+        model, rows, edges, cylinder, active: As in `bounds.cells`.
         values, stage, setting, k, line, least, next_w: As in `ridge`.
         row, column: Cell of the stage where the slopes of a cell are taken, (rows,) and (rows, columns).
         slope: Out: along position [J/m] and velocity [J s/m], (rows, columns, 2).
     """
     coefficients = np.empty((model.shape[1], COEFFICIENTS, 3))
-    half_c, step, ahead = 0.5 * here[L_DC], setting[STEP], layer(values, stage, setting, k)
+    step, ahead = setting[STEP], layer(values, stage, setting, k)
     for p in range(slope.shape[0]):
         expand(model, row[p], coefficients)
-        c = here[L_C] + (here[L_I] + row[p] + 0.5) * here[L_DC]
+        c, half_c = 0.5 * (rows[row[p] + 1] + rows[row[p]]), 0.5 * (rows[row[p] + 1] - rows[row[p]])
         for r in range(slope.shape[1]):
             if active[p, r] == np.inf:
                 continue
@@ -192,22 +188,23 @@ def follow(model, here, edges, cylinder, values, stage, setting, k, line, least,
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def charge(model, here, edges, cylinder, setting, fixed, active, slope):
+def charge(model, rows, edges, cylinder, setting, fixed, active, slope):
     """Add the slopes of the stage's own cost over its cells to those of what follows.
 
     The flow of a cylinder that turns round within the cell has a kink. Of its slopes there the one is taken with
     which a motion gains nothing by leaving the kink: slope_w + step / 2 slope_c = 0, as far as it has it.
 
     Args:
-        model, here, edges, cylinder, setting, fixed, active: As in `bounds.cells`.
+        model, rows, edges, cylinder, setting, fixed, active: As in `bounds.cells`.
         slope: Changed in place: along position [J/m] and velocity [J s/m], (rows, columns, 2).
     """
     n = model.shape[1]
     coefficients, motion, sigma = np.empty((n, COEFFICIENTS, 3)), np.zeros((n, MOTION)), np.zeros(n)
     forms, middle = np.zeros((n + 1, FORM)), np.zeros((2, 3))
-    half_c, half_step, rate = 0.5 * here[L_DC], 0.5 * setting[STEP], setting[STEP] / setting[EFFICIENCY]
+    half_step, rate = 0.5 * setting[STEP], setting[STEP] / setting[EFFICIENCY]
     for p in range(slope.shape[0]):
         expand(model, p, coefficients)
+        half_c = 0.5 * (rows[p + 1] - rows[p])
         for r in range(slope.shape[1]):
             if active[p, r] == np.inf:
                 continue
@@ -239,11 +236,11 @@ def prepare() -> None:
     """Load the compiled kernels, compiling them on the very first run."""
     model, one, line, none = np.zeros((1, 1, COEFFICIENTS, 4)), np.zeros((1, 1)), np.arange(2.0), np.zeros((1, 1), int)
     values, edges, slope = np.zeros((2, 2), dtype=np.float32), np.zeros((1, 2)), np.zeros((1, 1, 2))
-    cylinder, setting, lattice = np.ones((1, CYLINDER_COLUMNS)), np.ones(SETTINGS), np.ones(LATTICE)
+    cylinder, setting, rows = np.ones((1, CYLINDER_COLUMNS)), np.ones(SETTINGS), np.arange(2.0)
     stage = np.ones((1, STAGE_COLUMNS))
     ridge(values, stage, setting, 0, line, np.zeros(2), np.zeros(2))
     follow(
-        model, lattice, edges, cylinder, values, stage, setting, 0, line, np.zeros(2), np.zeros(2), one, none[0], none,
+        model, rows, edges, cylinder, values, stage, setting, 0, line, np.zeros(2), np.zeros(2), one, none[0], none,
         slope,
     )  # fmt: skip
-    charge(model, lattice, edges, cylinder, setting, np.zeros(2), one, slope)
+    charge(model, rows, edges, cylinder, setting, np.zeros(2), one, slope)

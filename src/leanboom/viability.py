@@ -14,10 +14,10 @@ import numpy as np
 from numba import njit
 
 from leanboom import cellwise
-from leanboom.cellwise import L_C, L_DC, ON_LIMIT
+from leanboom.cellwise import ON_LIMIT
 from leanboom.kernels import COEFFICIENTS
 
-BINS = 8  # bins of position in a cell of the first level
+BINS = 8  # bins of position in a row of the first level
 STRIPS = 8  # parts of the velocity range, over each of which the acceleration limits are enclosed
 HALVINGS = 30  # of the bracket of a velocity
 
@@ -40,14 +40,16 @@ class Viable:
         return self.low[k, highest], self.high[k, lowest]
 
 
-def find(
-    lattice: np.ndarray, model: tuple[np.ndarray, ...], columns: list[np.ndarray], cylinder: np.ndarray, step: float
-) -> Viable:
+def find(  # noqa: PLR0913
+    bins: int, rows: tuple[np.ndarray, ...], model: tuple[np.ndarray, ...], columns: list[np.ndarray],
+    cylinder: np.ndarray, step: float,
+) -> Viable:  # fmt: skip
     """The viable velocities of every stage.
 
     Args:
-        lattice: Where the cells of the first level are, (stages + 1, cellwise.LATTICE); windows are whole stages.
-        model: Enclosures of the coefficients over position cells, (rows, moving, COEFFICIENTS, 4) a stage.
+        bins: Number of bins of a stage, equally wide; edges of rows are edges of bins.
+        rows: Edges of the rows of the first level [m], whole stages, (rows + 1,) a stage and the end.
+        model: Enclosures of the coefficients over rows, (rows, moving, COEFFICIENTS, 4) a stage.
         columns: Velocities of each row that keep the velocity limits [m/s], (rows, 2) a stage.
         cylinder: (moving, kernels.CYLINDER_COLUMNS).
         step: Length of a stage [s].
@@ -55,12 +57,10 @@ def find(
     Returns:
         The viable velocities; at the last stage only rest.
     """
-    n, bins = len(model), BINS * model[0].shape[0]
+    n = len(model)
     low, high = np.zeros((n + 1, bins)), np.zeros((n + 1, bins))
     for k in range(n - 1, -1, -1):
-        stage(
-            model[k], cylinder, step, lattice[k], lattice[k + 1], columns[k], low[k + 1], high[k + 1], low[k], high[k]
-        )
+        stage(model[k], cylinder, step, rows[k], rows[k + 1], columns[k], low[k + 1], high[k + 1], low[k], high[k])
     return Viable(low, high)
 
 
@@ -94,17 +94,16 @@ def least(slowest, fastest, push, c, step, ahead, first, width):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def stage(model, cylinder, step, here, there, columns, low_ahead, high_ahead, low, high):
+def stage(model, cylinder, step, rows, rows_ahead, columns, low_ahead, high_ahead, low, high):
     """Viable velocities of one stage's bins, `low` and `high`, from those of the next stage.
 
     The upper bounds are the lower ones of the mirrored problem: positions, velocities and pushes with the other sign.
     """
-    rows = model.shape[0]
-    bins = low.size // rows
+    bins = low.size
     coefficients = np.empty((model.shape[1], COEFFICIENTS, 3))
-    width, width_ahead = here[L_DC] / bins, there[L_DC] / bins
-    mirrored, bottom = -high_ahead[::-1], -there[L_C] - width_ahead * high_ahead.size
-    for p in range(rows):
+    width, width_ahead = (rows[-1] - rows[0]) / bins, (rows_ahead[-1] - rows_ahead[0]) / bins
+    mirrored = -high_ahead[::-1]
+    for p in range(model.shape[0]):
         cellwise.expand(model, p, coefficients)
         slowest, fastest = columns[p, 0], columns[p, 1]
         half = 0.5 * (fastest - slowest) / STRIPS
@@ -112,11 +111,11 @@ def stage(model, cylinder, step, here, there, columns, low_ahead, high_ahead, lo
         for q in range(STRIPS):
             lo, hi = cellwise.cell_accelerations(coefficients, cylinder, slowest + half * (2 * q + 1), half)
             down, up = min(down, lo), max(up, hi)
-        for b in range(p * bins, (p + 1) * bins):
-            c = here[L_C] + b * width
-            low[b] = least(slowest, fastest, up, c + width, step, low_ahead, there[L_C], width_ahead)
-            high[b] = -least(-fastest, -slowest, -down, -c, step, mirrored, bottom, width_ahead)
-    for b in range(1, low.size):
+        for b in range(round((rows[p] - rows[0]) / width), round((rows[p + 1] - rows[0]) / width)):
+            c = rows[0] + b * width
+            low[b] = least(slowest, fastest, up, c + width, step, low_ahead, rows_ahead[0], width_ahead)
+            high[b] = -least(-fastest, -slowest, -down, -c, step, mirrored, -rows_ahead[-1], width_ahead)
+    for b in range(1, bins):
         low[b] = min(low[b], low[b - 1])
-    for b in range(high.size - 2, -1, -1):
+    for b in range(bins - 2, -1, -1):
         high[b] = max(high[b], high[b + 1])
