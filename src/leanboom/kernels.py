@@ -42,9 +42,10 @@ CYLINDER_COLUMNS = 12
 STEP, COST, EPSILON, SUPPLY_CP, MARGIN, EFFICIENCY, SLOPE_C, SLOPE_W, SLOPE_V, SLOPE_A, IDLE, LEAK, DRAG = range(13)
 SETTINGS = 13
 # Rows of `Row.state`: least cost to go [J], its control [m/s^2], cost whatever the control [J], cost per pressure
-# [J/Pa] or power [s], least and largest admissible control [m/s^2]; the rest is scratch: control being tried, its cost,
-# flow or pressure or power, shares within a cell along positions and velocities, cost of being outside the nodes.
-VALUE, CONTROL, BASE, RATE, SLOPE, MIXED, LOW, HIGH, PRICE, SUPPLY, ALONG, ACROSS, BEYOND = range(13)
+# [J/Pa] or power [s], cost per control [J s^2/m], 1 where the cost is not one line over the control, else 0, least and
+# largest admissible control [m/s^2]; the rest is scratch: cost of a control, flow, shares within a cell along positions
+# and velocities, cost of being outside the nodes.
+VALUE, CONTROL, BASE, RATE, SLOPE, MIXED, LOW, HIGH, PRICE, FLOW, ALONG, ACROSS, BEYOND = range(13)
 STATE_ROWS = 13
 # Rows of `Row.line`: load along the motion at u = 0 (positive: driven against it) [N], or its power [W], and its change
 # with u; the pressure it asks for at u = 0 [Pa], and its change with u.
@@ -77,6 +78,7 @@ class Row(NamedTuple):
 
     The part of a stage's cost that depends on the control is a rate times the supply pressure (ls), the highest of
     p0_i + p1_i u over cylinders with load_i + gain_i u > 0, or times the sum of positive load_i + gain_i u (actuator).
+    Where that is one line over the admissible controls it is part of `BASE` and `SLOPE`.
     """
 
     state: np.ndarray  # (STATE_ROWS, states + velocities ahead); ALONG and BEYOND alone use all columns
@@ -181,7 +183,7 @@ def keep_to_nodes(w, ahead, step, row):
 @njit(cache=True, error_model="numpy")
 def charge(node, w, k, stage, cylinder, setting, code, row):
     """Cost of a row's states whatever the control, and the rate of what depends on it."""
-    base, rate, flow = row.state[BASE], row.state[RATE], row.state[SUPPLY]
+    base, rate, flow = row.state[BASE], row.state[RATE], row.state[FLOW]
     step, prescribed = setting[STEP], stage[k, FIXED_FLOW]
     for j in range(w.size):
         flow[j], rate[j] = prescribed, step
