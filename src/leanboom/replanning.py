@@ -79,7 +79,7 @@ def replan(
     *,
     pump: str = "ls",
     around: Motion | Continuation | None = None,
-    grid: tuple[int, int] = (31, 41),
+    grid: tuple[int, int] = (25, 41),
     step: float = STEP,
 ) -> Continuation:
     """Plan the rest of a task from any state on the way.
