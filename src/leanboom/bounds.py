@@ -61,7 +61,7 @@ from leanboom.kernels import (
 enable_in_kernels()
 
 # What a pass over a stage's cells finds.
-MIDDLE, PLANE, FORWARD = range(3)
+MIDDLE, PLANE, FLOORED, FORWARD = range(4)
 
 # Rows of the forms of a transition: supply pressure candidates as constant, t, x, y.
 FORM = 4
@@ -223,13 +223,14 @@ def sharpen(  # noqa: PLR0913
 @njit(cache=True, error_model="numpy", nogil=True)
 def cells(  # noqa: PLR0913
     kind, first, last, model, there, rows, rows_ahead, edges, edges_ahead, columns, columns_ahead, fixed, cylinder,
-    setting, limit, active, planes, ahead, found,
+    setting, limit, active, planes, ahead, found, floors,
 ):  # fmt: skip
     """One pass over the cells of a stage, rows `first` to `last` - 1 of its window.
 
     Args:
         kind: MIDDLE: least cost to go from each cell's middle, for slopes. PLANE: levels of the planes whose slopes
-            are given. FORWARD: least excess with which cells of the next stage are reached.
+            are given. FLOORED: those, and levels of planes without slope. FORWARD: least excess with which cells of
+            the next stage are reached.
         first, last: Rows.
         model: Enclosures of the stage's coefficients over position cells, (rows, moving, COEFFICIENTS, 4).
         there: Lattice of the next stage, (LATTICE,).
@@ -243,7 +244,8 @@ def cells(  # noqa: PLR0913
         active: Cells to look at, finite; FORWARD: the excess they are reached with [J]; (rows, columns).
         planes: Level [J] and slopes [J/m], [J s/m] of the cells' planes, and floors [J], (rows, columns, 4).
         ahead: The same of the next stage; level inf where no motion may pass, (rows, columns, 4).
-        found: Out. MIDDLE, PLANE: values [J], (rows, columns). FORWARD: excess of the next stage, lowered in place.
+        found: Out. FORWARD: excess of the next stage [J], lowered in place. Others: values [J], (rows, columns).
+        floors: Out. FLOORED: levels of planes without slope [J], (rows, columns).
     """
     n = model.shape[1]
     step = setting[STEP]
@@ -265,7 +267,7 @@ def cells(  # noqa: PLR0913
             if active[p, r] == np.inf:
                 continue
             w, half = 0.5 * (edges[p, r + 1] + edges[p, r]), 0.5 * (edges[p, r + 1] - edges[p, r])
-            best = np.inf
+            best = floor = np.inf
             # Excess so far less the level; where the floor is above the plane, less by how much at most.
             rise = abs(planes[p, r, 1]) * half_c + abs(planes[p, r, 2]) * half
             so_far = active[p, r] - max(planes[p, r, 0], planes[p, r, 3] + rise)
@@ -320,9 +322,6 @@ def cells(  # noqa: PLR0913
                     cost_t = rate * (f0 * supply_t + ft * supply_m)
                     cost_x = rate * (f0 * supply_x + fx * supply_m)
                     cost_y = rate * f0 * supply_y
-                    if kind != MIDDLE:
-                        cost_t -= planes[p, r, 1] * half_c
-                        cost_x -= planes[p, r, 2]
                     column = j - j_ahead
                     for row in range(i_first, ahead.shape[0]):
                         bottom_c, top_c = rows_ahead[row], rows_ahead[row + 1]
@@ -343,43 +342,52 @@ def cells(  # noqa: PLR0913
                         lean = 0.5 * step * slope_c
                         g0 = cost_m + level + slope_c * (drift - 0.5 * (bottom_c + top_c))
                         g0 += slope_w * (next_w - 0.5 * (bottom + top))
-                        gt, gx, gy = cost_t + slope_c * half_c, cost_x + lean, cost_y + lean + slope_w
-                        value = g0 + gt * (t_lo if gt > 0.0 else t_hi)
-                        value += gx * (whole[0, 1] if gx > 0.0 else whole[1, 1]) + gy * (y_lo if gy > 0.0 else y_hi)
-                        if kind == FORWARD:
-                            bar = min(limit, found[row, column]) - so_far
-                        else:
-                            bar = best
-                        if value < bar:
-                            box[0, 0], box[0, 1], box[0, 2] = t_lo, whole[0, 1], y_lo
-                            box[1, 0], box[1, 1], box[1, 2] = t_hi, whole[1, 1], y_hi
-                            form[0], form[1], form[2], form[3] = g0, gt, gx, gy
-                            for v in range(FORM):
-                                supply[v] = forms[chosen, v]
-                            floor = ahead[row, column, 3]
-                            span = abs(slope_c) * (top_c - bottom_c) + abs(slope_w) * (top - bottom)
-                            if level - 0.5 * span < floor:
-                                # The cost to go is not below the floor either: any mean of plane and floor will do.
-                                direction[0] = floor - (g0 - cost_m)
-                                direction[1], direction[2], direction[3] = -slope_c * half_c, -lean, -lean - slope_w
-                                ascend(form, direction, 0.0, 1.0, box)
-                            # Only where the next position is in its cell.
-                            if kind != MIDDLE and bottom_c - low_end(drift, half_c, step, box) > 0.0:
-                                direction[0], direction[1] = bottom_c - ON_LIMIT - drift, -half_c
-                                direction[2] = direction[3] = -0.5 * step
-                                ascend(form, direction, 0.0, np.inf, box)
-                            if kind != MIDDLE and high_end(drift, half_c, step, box) - top_c > 0.0:
-                                direction[0], direction[1] = drift - top_c - ON_LIMIT, half_c
-                                direction[2] = direction[3] = 0.5 * step
-                                ascend(form, direction, 0.0, np.inf, box)
-                            value = sharpen(
-                                form, count, chosen, forms, supply, f0, ft, fx, sigma, motion, cylinder, rate, turn,
-                                box, direction,
-                            )  # fmt: skip
+                        gy = cost_y + lean + slope_w
+                        # With the slopes of the cell's plane, then without.
+                        for level_plane in range(kind == MIDDLE, 1 + (kind == MIDDLE or kind == FLOORED)):
+                            gt, gx = cost_t + slope_c * half_c, cost_x + lean
+                            if not level_plane:
+                                gt, gx = gt - planes[p, r, 1] * half_c, gx - planes[p, r, 2]
+                            value = g0 + gt * (t_lo if gt > 0.0 else t_hi)
+                            value += gx * (whole[0, 1] if gx > 0.0 else whole[1, 1]) + gy * (y_lo if gy > 0.0 else y_hi)
+                            if kind == FORWARD:
+                                bar = min(limit, found[row, column]) - so_far
+                            else:
+                                bar = floor if kind == FLOORED and level_plane else best
                             if value < bar:
-                                if kind == FORWARD:
-                                    found[row, column] = max(active[p, r], so_far + value)
-                                else:
-                                    best, lead = value, j - j_first
+                                box[0, 0], box[0, 1], box[0, 2] = t_lo, whole[0, 1], y_lo
+                                box[1, 0], box[1, 1], box[1, 2] = t_hi, whole[1, 1], y_hi
+                                form[0], form[1], form[2], form[3] = g0, gt, gx, gy
+                                for v in range(FORM):
+                                    supply[v] = forms[chosen, v]
+                                other = ahead[row, column, 3]
+                                span = abs(slope_c) * (top_c - bottom_c) + abs(slope_w) * (top - bottom)
+                                if level - 0.5 * span < other:
+                                    # The cost to go is not below the floor either: any mean of plane and floor will do.
+                                    direction[0] = other - (g0 - cost_m)
+                                    direction[1], direction[2], direction[3] = -slope_c * half_c, -lean, -lean - slope_w
+                                    ascend(form, direction, 0.0, 1.0, box)
+                                # Only where the next position is in its cell.
+                                if kind != MIDDLE and bottom_c - low_end(drift, half_c, step, box) > 0.0:
+                                    direction[0], direction[1] = bottom_c - ON_LIMIT - drift, -half_c
+                                    direction[2] = direction[3] = -0.5 * step
+                                    ascend(form, direction, 0.0, np.inf, box)
+                                if kind != MIDDLE and high_end(drift, half_c, step, box) - top_c > 0.0:
+                                    direction[0], direction[1] = drift - top_c - ON_LIMIT, half_c
+                                    direction[2] = direction[3] = 0.5 * step
+                                    ascend(form, direction, 0.0, np.inf, box)
+                                value = sharpen(
+                                    form, count, chosen, forms, supply, f0, ft, fx, sigma, motion, cylinder, rate, turn,
+                                    box, direction,
+                                )  # fmt: skip
+                                if value < bar:
+                                    if kind == FORWARD:
+                                        found[row, column] = max(active[p, r], so_far + value)
+                                    elif kind == FLOORED and level_plane:
+                                        floor = value
+                                    else:
+                                        best, lead = value, j - j_first
             if kind != FORWARD:
                 found[p, r] = best
+            if kind == FLOORED:
+                floors[p, r] = floor

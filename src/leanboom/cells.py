@@ -25,6 +25,7 @@ from leanboom.viability import Viable
 POSITION = 0.006  # [m], largest width of a row of the first level
 NEAR, NARROWER = 0.1, 4  # [m], from a motion to which rows beside it are so many times narrower
 VELOCITY = 0.01  # [m/s], largest height of a cell of the first level
+AT_ONCE = 8192  # rows enclosed together: what their formulas need in between stays in the processor's caches
 UNKNOWN = 1e30  # error of a coefficient that cannot be enclosed over a cell
 SHARES = 8  # parts a thread takes of a stage: rows differ in work
 AT_REST = 1e-6  # [m/s], velocity below which a motion ends at rest
@@ -32,6 +33,7 @@ ON_ROW = 1e-9  # [m], by which a position may be off a row to be counted in it
 ON_EDGE = 1e-10  # [m/s], by which a velocity may be off a cell to be counted in it
 THIN = 1e-9  # [m], least range of a stage's positions
 CLOSE = 1e-6  # [m], [m/s], least distance of middles for a slope
+NO_FLOORS = np.empty((0, 0))  # of passes that find none
 BENT = 0.25  # a plane that loses more than this share of what it rises over its cell is tried again, level
 
 
@@ -185,6 +187,13 @@ def enclosures(problem: Problem, rows: list[np.ndarray]) -> tuple[np.ndarray, ..
     stage = np.repeat(np.arange(len(rows)), counts)
     half = np.concatenate([0.5 * np.diff(edges) for edges in rows])
     middle = np.concatenate([0.5 * (edges[1:] + edges[:-1]) for edges in rows])
+    parts = [slice(first, first + AT_ONCE) for first in range(0, stage.size, AT_ONCE)]
+    out = np.concatenate([_enclosed(problem, stage[part], middle[part], half[part]) for part in parts])
+    return tuple(np.split(out, np.cumsum(counts)[:-1]))
+
+
+def _enclosed(problem: Problem, stage: np.ndarray, middle: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Enclosures of all coefficients over intervals of positions, each at a stage of its own."""
     with np.errstate(all="ignore"):  # beside a singular pose bounds may be infinite
         pose = cranes.pose(problem.crane, problem.plane[stage], enclosure.variable(middle, half))
         motions = [cranes.move(pose, w, u) for w, u in ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
@@ -203,7 +212,7 @@ def enclosures(problem: Problem, rows: list[np.ndarray]) -> tuple[np.ndarray, ..
                     out[:, m, q, part] = getattr(model, name)
     out[..., 3] += enclosure.ROUNDING * np.abs(out[..., :3]).sum(axis=-1)
     out[~np.isfinite(out).all(axis=-1) | (out[..., 3] > UNKNOWN)] = (0.0, 0.0, 0.0, UNKNOWN)
-    return tuple(np.split(out, np.cumsum(counts)[:-1]))
+    return out
 
 
 def bound(
@@ -259,10 +268,9 @@ def _guided(pool: _Pool, k: int, ahead: np.ndarray, given: np.ndarray) -> np.nda
     active = pool.cells.active[k]
     here = np.zeros((*active.shape, 4))
     here[..., 1:3] = np.where(np.isfinite(given), given, 0.0)  # nan would pass for a state without motions
-    here[..., 0] = pool.run(bounds.PLANE, k, active, here, ahead)
-    reached = np.isfinite(here[..., 0])
-    flat = pool.run(bounds.PLANE, k, np.where(reached, 0.0, np.inf), np.zeros_like(here), ahead)
-    here[..., 3] = np.where(reached, np.maximum(flat, 0.0), 0.0)
+    floors = np.full(active.shape, np.inf)
+    here[..., 0] = pool.run(bounds.FLOORED, k, active, here, ahead, floors)
+    here[..., 3] = np.where(np.isfinite(here[..., 0]), np.maximum(floors, 0.0), 0.0)
     return here
 
 
@@ -336,7 +344,7 @@ def reach(found: Bounds, limit: float, check: Callable[[float], None]) -> tuple[
         for k in range(cells.problem.stages - 1):
             check((k + 1) / cells.problem.stages)
             parts = [np.full(cells.active[k + 1].shape, np.inf) for _ in range(pool.workers)]
-            pool.share(bounds.FORWARD, k, room, excess[-1], found.planes[k], found.planes[k + 1], parts)
+            pool.share(bounds.FORWARD, k, room, excess[-1], found.planes[k], found.planes[k + 1], parts, NO_FLOORS)
             excess.append(np.minimum.reduce(parts))
     return tuple(excess)
 
@@ -435,7 +443,7 @@ def prepare() -> None:
     viability.find(1, (rows, rows), (model,), [columns], cylinder, 1.0)
     bounds.cells(
         bounds.PLANE, 0, 1, model, lattice, rows, rows, columns, columns, columns, columns, np.zeros(2), cylinder,
-        setting, 0.0, one, np.zeros((1, 1, 4)), np.zeros((1, 1, 4)), one,
+        setting, 0.0, one, np.zeros((1, 1, 4)), np.zeros((1, 1, 4)), one, NO_FLOORS,
     )  # fmt: skip
 
 
@@ -456,13 +464,15 @@ class _Pool:
         """Slopes that a guide gives for a stage, made while others are bounded; None without guide or stage."""
         return None if guide is None or k < 0 else self.pool.submit(guide, self.cells, k)
 
-    def run(self, kind: int, k: int, active, planes, ahead) -> np.ndarray:
+    def run(self, kind: int, k: int, active, planes, ahead, floors: np.ndarray = NO_FLOORS) -> np.ndarray:
         """Values of the cells of stage k by a backward pass of a kind, inf where there are none."""
         found = np.full(active.shape, np.inf)
-        self.share(kind, k, 0.0, active, planes, ahead, [found])
+        self.share(kind, k, 0.0, active, planes, ahead, [found], floors)
         return found
 
-    def share(self, kind: int, k: int, limit: float, active, planes, ahead, found: list[np.ndarray]) -> None:
+    def share(  # noqa: PLR0913
+        self, kind: int, k: int, limit: float, active, planes, ahead, found: list[np.ndarray], floors: np.ndarray
+    ) -> None:
         """One pass over stage k; forward passes write into one array a thread, others into one for all."""
         cells = self.cells
         parts = len(found) if kind == bounds.FORWARD else min(SHARES * self.workers, active.shape[0])
@@ -473,6 +483,7 @@ class _Pool:
                 bounds.cells, kind, first, last, cells.model[k], cells.lattice[k + 1], cells.rows[k], cells.rows[k + 1],
                 cells.edges[k], cells.edges[k + 1], cells.columns[k], cells.columns[k + 1], cells.fixed[k],
                 cells.cylinder, cells.setting, limit, active, planes, ahead, found[part % len(found)],
+                floors,
             )
             for part, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True))
         ]  # fmt: skip

@@ -27,6 +27,7 @@ from leanboom.stages import Problem
 from leanboom.task import Task
 
 ROUNDING = 1e-9  # share of the bound that covers the rounding of floating-point numbers
+ENOUGH = 0.99  # share of the gap asked for by which energies are below the best known one where cells are dropped
 TRUST = 1e-6  # share of the energy by which a check along a motion may be off, rounding of many sums
 
 
@@ -166,6 +167,8 @@ def _bound(
     """Bound on ever smaller cells until the gap or the time is reached."""
     levels: list[Level] = []
     lower = 0.0
+    enough = best.energy * (1.0 + ROUNDING - ENOUGH * gap / 100.0)  # motions that take more need no closer look
+    outside = best.energy  # no motion that leaves the cells takes less
     tell("enclosing the crane's motion over cells", 0.05)
     kept: cells.Cells | None = cells.whole(problem, pump)
     chosen: cells.GivenSlopes | None = None
@@ -183,20 +186,18 @@ def _bound(
             if not np.isfinite(found.lower) and not levels:
                 raise InfeasibleError("proven: no motion of the discretised problem keeps every limit")
             _check_along(found, best)
-            # A motion either costs more than the best known one or stays in the cells and above their bound.
-            lower = max(lower, min(found.lower, best.energy) * (1.0 - ROUNDING))
+            lower = max(lower, min(found.lower, outside) * (1.0 - ROUNDING))
             gone = time.perf_counter() - began
             levels.append(Level(kept.positions, kept.velocities, kept.count, lower, _gap(best.energy, lower), gone))
             if levels[-1].gap_percent <= gap:
                 return tuple(levels), "gap reached"
-            excess = cells.reach(found, best.energy * (1.0 + ROUNDING), clock)
+            excess, outside = cells.reach(found, enough, clock), min(enough, best.energy)
             if cells.memory(kept, excess) > 0.5 * dp.free_memory():
                 return tuple(levels), "smaller cells would not fit into the memory"
             kept = cells.refine(kept, excess)
         except cells.OutOfTime:
             return tuple(levels), "time is over"
-    # Nothing is left below the best known energy: it is the optimum.
-    lower = best.energy * (1.0 - ROUNDING)
+    lower = outside * (1.0 - ROUNDING)  # no motion stays in the cells
     gone = time.perf_counter() - began
     last = levels[-1]
     levels.append(Level(2 * last.positions, 2 * last.velocities, 0, lower, _gap(best.energy, lower), gone))
