@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 import slow_bounds
-from leanboom import cells, certify, guide, incumbent, kernels, load_task, stages
+from leanboom import cells, certify, guide, incumbent, kernels, load_task, motion, stages
 from slow_bounds import quiet
 
 REACH = 0.6  # of a cell, how far from its middle differences are taken
@@ -19,7 +19,8 @@ def loader():
     task = replace(load_task("loader-triangle-medium"), start="smallest")
     problem = stages.discretise(task, 0.25)
     kept = cells.whole(problem, "cp")
-    return problem, kept, guide.make(problem, "cp", kept.viable)
+    held = motion.from_velocities(problem.step, problem.lower[0] + 0.3, np.zeros(problem.stages + 1), "held", "cp")
+    return problem, kept, guide.make(problem, "cp", kept.viable, held)
 
 
 def test_guided_bounds_see_the_end_of_the_stroke_and_stay_below_every_motion(loader):
@@ -28,7 +29,7 @@ def test_guided_bounds_see_the_end_of_the_stroke_and_stay_below_every_motion(loa
     guided = cells.bound(kept, start, quiet, known.slopes)
     assert guided.lower > 1.01 * cells.bound(kept, start, quiet).lower
     # Nor above a policy's motion, stage by stage.
-    moving = guide.dp.rollout(known.policy, start)
+    moving = guide.dp.rollout(known.policies[0], start)
     measured = incumbent.measure(problem, moving, "cp")
     assert measured.keeps_limits
     assert guided.lower <= measured.energy
@@ -68,13 +69,21 @@ def test_the_ridge_is_the_least_value_of_every_line(rng):
 
 
 def given_values(known, k, values):
-    """The guide with other values at a stage: a function of position above the lower end, and of velocity."""
-    grid = known.policy.grid
+    """A guide of one policy with other values at a stage, a function of position above the lower end and velocity."""
+    policy = known.policies[0]
+    grid = policy.grid
     c = np.linspace(0.0, grid.c_hi[k] - grid.c_lo[k], grid.positions)
     w = np.linspace(grid.w_lo[k], grid.w_hi[k], grid.velocities)
-    changed = known.policy.values.copy()
+    changed = policy.values.copy()
     changed[k] = values(c[:, None], w[None, :])
-    return replace(known, policy=replace(known.policy, values=changed))
+    return replace(known, policies=(replace(policy, values=changed),))
+
+
+def nearest(known, kept, k):
+    """The cells where the slopes of a stage's cells are taken: the whole policy knows them all."""
+    mask = guide._known(known.policies[0], kept, k)  # noqa: SLF001
+    assert mask.all()
+    return known._nearest(known.policies[0], kept, k, mask)  # noqa: SLF001
 
 
 @pytest.mark.parametrize("pump", ["cp", "ls"])
@@ -97,7 +106,7 @@ def test_slopes_are_those_of_the_least_cost_to_go(loader, pump):
 
     rows, middles, compared = kept.rows[k], kept.middles(k), 0
     width = rows[1] - rows[0]
-    row, column = known._nearest(kept, k)  # noqa: SLF001
+    row, column = nearest(known, kept, k)
     for p in range(40, 120, 27):
         c = 0.5 * (rows[p] + rows[p + 1])
         for r in np.nonzero((column[p] == np.arange(middles.shape[1])) & (row[p] == p))[0]:
@@ -131,14 +140,32 @@ def test_riding_on_a_kink_of_flow_is_exact(loader):
 def test_beside_lost_states_the_nearest_cells_with_a_margin_are_taken(loader):
     problem, kept, known = loader
     k = 10
-    row, column = known._nearest(kept, k)  # noqa: SLF001
-    apart = guide.MARGIN / (known.policy.grid.positions - 1)
+    row, column = nearest(known, kept, k)
+    apart = guide.MARGIN / (known.policies[0].grid.positions - 1)
     first = int(np.ceil(apart * kept.positions - 1e-9))
     assert row[: first + 1].tolist() == [first] * (first + 1)
     assert row[first + 1] == first + 1
     low = known.viable.low[k]
     assert np.all(kept.edges[k][row[:, None], column] >= low[-1] - 1e-9)
     assert np.array_equal(column[kept.positions // 2], np.clip(column[kept.positions // 2], 0, kept.velocities - 1))
+
+
+def test_a_tube_gives_the_slopes_inside_it_and_only_there(loader):
+    problem, kept, known = loader
+    k, (whole, tube) = 40, known.policies
+    changed = tube.values.copy()
+    changed[k + 1] += np.linspace(0.0, 1e3, tube.grid.positions, dtype=np.float32)[:, None]
+    before = known.slopes(kept, k)
+    after = replace(known, policies=(whole, replace(tube, values=changed))).slopes(kept, k)
+    differ = np.any(before != after, axis=-1)
+    rows, edges = kept.rows[k], kept.edges[k]
+    near_c, near_w = 0.6 * guide.WIDTH, 0.6 * guide.SPREAD  # around the motion, held 0.3 m above the first lower end
+    centre = problem.lower[0] + 0.3
+    inside_c = (rows[:-1] >= centre - near_c) & (rows[1:] <= centre + near_c)
+    inside_w = (edges[:, :-1] >= -near_w) & (edges[:, 1:] <= near_w)
+    assert np.array_equal(differ, inside_c[:, None] & inside_w)
+    rise = (after - before)[differ][:, 0]
+    assert np.median(rise) == pytest.approx(1e3 / (tube.grid.c_hi[k + 1] - tube.grid.c_lo[k + 1]), rel=0.05)
 
 
 @pytest.mark.parametrize(("gap", "guided"), [(99.0, False), (1e-3, True)])

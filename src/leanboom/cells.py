@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,8 +23,9 @@ from leanboom.stages import Problem
 from leanboom.viability import Viable
 
 POSITION = 0.006  # [m], largest width of a row of the first level
-NEAR, NARROWER = 0.1, 4  # [m], from a motion to which rows beside it are so many times narrower
 VELOCITY = 0.01  # [m/s], largest height of a cell of the first level
+NEAR, NARROWER = 0.1, 4  # [m], from a motion to which rows beside it are so many times narrower
+END, NARROWEST, LOWER = 0.02, 16, 4  # [m], from an end to which a motion's rows are narrowest and its cells lower
 AT_ONCE = 8192  # rows enclosed together: what their formulas need in between stays in the processor's caches
 UNKNOWN = 1e30  # error of a coefficient that cannot be enclosed over a cell
 SHARES = 8  # parts a thread takes of a stage: rows differ in work
@@ -34,7 +35,7 @@ ON_EDGE = 1e-10  # [m/s], by which a velocity may be off a cell to be counted in
 THIN = 1e-9  # [m], least range of a stage's positions
 CLOSE = 1e-6  # [m], [m/s], least distance of middles for a slope
 NO_FLOORS = np.empty((0, 0))  # of passes that find none
-BENT = 0.25  # a plane that loses more than this share of what it rises over its cell is tried again, level
+BENT = 0.5  # a plane that loses more than this share of what it rises to a corner is tried again, level
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,9 +45,9 @@ class Cells:
     problem: Problem
     cost: str
     positions: int  # rows between the ends of a stage's feasible extensions, narrower ones apart
-    velocities: int  # cells between the limits of the redundant cylinder's velocity
+    velocities: np.ndarray  # cells between the limits of the redundant cylinder's velocity, (stages,)
     lattice: np.ndarray  # (stages + 1, cellwise.LATTICE)
-    active: tuple[np.ndarray, ...]  # 0 where a cell is kept, inf where not, (rows, columns) a stage
+    active: tuple[np.ndarray, ...]  # least energy of motions up to a cell [J], inf where it is not kept, (rows, columns)
     model: tuple[np.ndarray, ...]  # enclosures of the coefficients, (rows, moving, COEFFICIENTS, 4) a stage
     rows: tuple[np.ndarray, ...]  # edges of the rows of cells [m], (rows + 1,) a stage and the end
     edges: tuple[np.ndarray, ...]  # of the cells in velocity [m/s], (rows, columns + 1) a stage and the end
@@ -105,40 +106,51 @@ def whole(problem: Problem, cost: str, beside: Motion | None = None, viable: Via
     """
     limit = problem.crane.machine.redundant.velocity_limit
     positions = max(2, int(np.ceil(np.max(problem.upper - problem.lower) / POSITION)))
-    velocities = 2 * int(np.ceil(limit / VELOCITY))
     rows = [_rows(problem, k, positions, beside) for k in range(problem.stages + 1)]
     corner = np.zeros(problem.stages, dtype=int)
-    return _cut(problem, cost, (positions, velocities), rows, [velocities] * problem.stages, corner, viable)
+    velocities = np.full(problem.stages, 2 * int(np.ceil(limit / VELOCITY)))
+    if beside is not None:
+        velocities[_from_end(problem, slice(-1), beside.position[:-1]) < END] *= LOWER
+    return _cut(problem, cost, positions, velocities, rows, velocities, corner, viable)
+
+
+def _from_end(problem: Problem, k: int | slice, position: np.ndarray) -> np.ndarray:
+    """Distances of positions from the next end of their stage's feasible extensions [m]."""
+    return np.minimum(position - problem.lower[k], problem.upper[k] - position)
 
 
 def _rows(problem: Problem, k: int, positions: int, beside: Motion | None) -> np.ndarray:
     """Edges of the rows of a stage [m]: `positions` equal ones, those near the motion cut into narrower ones."""
     low, high = problem.lower[k], max(problem.upper[k], problem.lower[k] + THIN)
-    edges = np.arange(positions + 1.0)
+    edges = np.arange(positions * NARROWEST + 1)
+    middle = low + (high - low) * (np.arange(positions + 1) + 0.5) / positions
+    parts = np.ones(positions + 1, dtype=int)
     if beside is not None:
-        fine = np.arange(positions * NARROWER + 1.0) / NARROWER
-        away = np.abs(low + (high - low) * (np.floor(fine) + 0.5) / positions - beside.position[k])
-        edges = fine[(away < NEAR) | (fine == np.floor(fine))]
-    return low + (high - low) * edges / positions
+        near = np.abs(middle - beside.position[k]) < NEAR
+        parts[near] = NARROWER
+        if _from_end(problem, k, beside.position[k]) < END:
+            parts[near & (_from_end(problem, k, middle) < END)] = NARROWEST
+    edges = edges[edges % (NARROWEST // parts[edges // NARROWEST]) == 0]
+    return low + (high - low) * edges / (positions * NARROWEST)
 
 
 def _cut(  # noqa: PLR0913
-    problem: Problem, cost: str, size: tuple[int, int], rows: list[np.ndarray], counts: list[int], corner: np.ndarray,
-    viable: Viable | None,
+    problem: Problem, cost: str, positions: int, velocities: np.ndarray, rows: list[np.ndarray], counts: np.ndarray,
+    corner: np.ndarray, viable: Viable | None,
 ) -> Cells:  # fmt: skip
     """Cells of a resolution, all active.
 
     Args:
         problem: The discretised task.
         cost: A name of `objective.COSTS`.
-        size: Rows and columns of a whole stage.
+        positions, velocities: Rows of a whole stage, narrower ones apart, and columns, (stages,).
         rows: Edges of the rows of every stage's window and of the end [m].
-        counts: Columns of the windows.
+        counts: Columns of the windows, (stages,).
         corner: First column of the windows, (stages,).
         viable: Viable velocities; looked for, where none are given, on windows that are whole stages.
     """
     limit = problem.crane.machine.redundant.velocity_limit
-    n, (positions, velocities) = problem.stages, size
+    n = problem.stages
     lattice = np.zeros((n + 1, LATTICE))
     lattice[:n, L_W] = -limit
     lattice[:n, L_DW] = 2.0 * limit / velocities
@@ -216,8 +228,9 @@ def _enclosed(problem: Problem, stage: np.ndarray, middle: np.ndarray, half: np.
 
 
 def bound(
-    cells: Cells, start: float | None, check: Callable[[float], None], guide: GivenSlopes | None = None
-) -> Bounds:
+    cells: Cells, start: float | None, check: Callable[[float], None], guide: GivenSlopes | None = None,
+    limit: float = np.inf,
+) -> Bounds:  # fmt: skip
     """The backward pass: planes below the cost to go over all cells.
 
     Args:
@@ -225,6 +238,7 @@ def bound(
         start: Start of the redundant cylinder [m], at rest; None: anywhere feasible.
         check: Called with the share done before every stage; raises to end the pass.
         guide: Gives the slopes of the planes of a stage's cells; None: differences of the bounds themselves.
+        limit: Energy beyond which motions are of no interest, and not bounded [J].
 
     Returns:
         The bounds.
@@ -238,7 +252,15 @@ def bound(
             here, given = given, pool.later(guide, k - 1)
             ahead = planes[k + 1]
             planes[k] = _planes(pool, k, ahead) if here is None else _guided(pool, k, ahead, here.result())
+            least = np.maximum(planes[k][..., 0] - _rise(cells, k, planes[k]), planes[k][..., 3])
+            planes[k][cells.active[k] + least > limit, 0] = np.inf
     return Bounds(cells, tuple(planes), _at_start(cells, planes[0], start))
+
+
+def _rise(cells: Cells, k: int, planes: np.ndarray) -> np.ndarray:
+    """By how much planes of a stage rise from the middles of their cells at most [J], (rows, columns)."""
+    high, wide = np.diff(cells.rows[k])[:, None], np.diff(cells.edges[k], axis=1)
+    return 0.5 * (np.abs(planes[..., 1]) * high + np.abs(planes[..., 2]) * wide)
 
 
 def _planes(pool: _Pool, k: int, ahead: np.ndarray) -> np.ndarray:
@@ -250,9 +272,8 @@ def _planes(pool: _Pool, k: int, ahead: np.ndarray) -> np.ndarray:
     here[..., 1] = slopes(middle, 0, 0.5 * (rows[1:] + rows[:-1])[:, None])
     here[..., 2] = slopes(middle, 1, cells.middles(k))
     level = pool.run(bounds.PLANE, k, active, here, ahead)
-    rise = np.abs(here[..., 1]) * np.diff(rows)[:, None] + np.abs(here[..., 2]) * np.diff(cells.edges[k], axis=1)
     with np.errstate(invalid="ignore"):
-        bent = np.isfinite(level) & ~(middle - level <= BENT * rise)
+        bent = np.isfinite(level) & ~(middle - level <= BENT * _rise(cells, k, here))
     if bent.any():
         flat = pool.run(bounds.PLANE, k, np.where(bent, 0.0, np.inf), np.zeros_like(here), ahead)
         here[..., 3] = np.where(bent, np.maximum(flat, 0.0), 0.0)
@@ -349,46 +370,35 @@ def reach(found: Bounds, limit: float, check: Callable[[float], None]) -> tuple[
     return tuple(excess)
 
 
-def refine(cells: Cells, excess: tuple[np.ndarray, ...]) -> Cells | None:
+def refine(found: Bounds, excess: tuple[np.ndarray, ...]) -> Cells | None:
     """The cells that can still be entered, halved in both directions; None where there are none."""
+    cells = found.cells
     n = cells.problem.stages
-    corner, counts, halved, kept = np.zeros(n, dtype=int), [], [], []
+    corner, counts, halved = np.zeros(n, dtype=int), np.zeros(n, dtype=int), []
     for k, reached in enumerate(excess):
         some = np.isfinite(reached)
         rows, columns = np.nonzero(some.any(axis=1))[0], np.nonzero(some.any(axis=0))[0]
         if rows.size == 0:
             return None
-        kept.append(some[rows[0] : rows[-1] + 1])
         halved.append(_halved(cells.rows[k][rows[0] : rows[-1] + 2]))
         # Edges of both levels are moved, by less than half a cell each: a neighbour may take over a strip.
         origin = int(cells.lattice[k, L_J])
-        first, last = max(origin + columns[0] - 1, 0), min(origin + columns[-1] + 1, cells.velocities - 1)
-        corner[k] = 2 * first
-        counts.append(2 * (last - first + 1))
+        first, last = max(origin + columns[0] - 1, 0), min(origin + columns[-1] + 1, int(cells.velocities[k]) - 1)
+        corner[k], counts[k] = 2 * first, 2 * (last - first + 1)
     halved.append(_halved(cells.rows[n]))
     size = 2 * cells.positions, 2 * cells.velocities
-    finer = _cut(cells.problem, cells.cost, size, halved, counts, corner, cells.viable)
-    return replace(finer, active=tuple(_within(cells, kept[k], finer, k) for k in range(n)))
+    finer = _cut(cells.problem, cells.cost, *size, halved, counts, corner, cells.viable)
+    for k, reached in enumerate(excess):
+        cellwise.hand_down(
+            cells.rows[k], cells.edges[k], cells.lattice[k], found.planes[k], found.lower + reached, finer.rows[k],
+            finer.edges[k], finer.lattice[k], finer.active[k],
+        )  # fmt: skip
+    return finer
 
 
 def _halved(edges: np.ndarray) -> np.ndarray:
     """Edges with the middles between them."""
     return np.append(np.stack([edges[:-1], 0.5 * (edges[1:] + edges[:-1])], axis=1), edges[-1])
-
-
-def _within(cells: Cells, kept: np.ndarray, finer: Cells, k: int) -> np.ndarray:
-    """Which cells of a finer level share states with a kept cell of a stage: 0, or inf where there are none."""
-    edges = finer.edges[k]
-    first = int(np.searchsorted(cells.rows[k], finer.rows[k][0]))
-    row = np.arange(edges.shape[0]) // 2
-    column = (int(finer.lattice[k, L_J]) + np.arange(edges.shape[1] - 1)) // 2 - int(cells.lattice[k, L_J])
-    shared = np.zeros((row.size, column.size), dtype=bool)
-    for beside in (-1, 0, 1):
-        other = np.clip(column + beside, 0, kept.shape[1] - 1)
-        low = cells.edges[k][first + row[:, None], other]
-        high = cells.edges[k][first + row[:, None], other + 1]
-        shared |= kept[row[:, None], other] & (low < edges[:, 1:]) & (high > edges[:, :-1])
-    return np.where(shared, 0.0, np.inf)
 
 
 def memory(cells: Cells, excess: tuple[np.ndarray, ...]) -> float:
@@ -440,6 +450,7 @@ def prepare() -> None:
     cylinder, setting = np.ones((1, kernels.CYLINDER_COLUMNS)), np.ones(kernels.SETTINGS)
     cellwise.velocity_columns(model, cylinder, columns)
     cellwise.place_edges(model, setting, lattice, np.zeros((1, 2)))
+    cellwise.hand_down(rows, columns, lattice, np.zeros((1, 1, 4)), one, rows, columns, lattice, one)
     viability.find(1, (rows, rows), (model,), [columns], cylinder, 1.0)
     bounds.cells(
         bounds.PLANE, 0, 1, model, lattice, rows, rows, columns, columns, columns, columns, np.zeros(2), cylinder,

@@ -222,3 +222,34 @@ def place_edges(model, setting, here, edges):
                 r = int(np.floor(share + 0.5))
                 if 0 <= r < edges.shape[1] and not moved[r] and abs(share - r) < SNAP:
                     edges[p, r], moved[r] = w, True
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def hand_down(rows, edges, here, planes, through, finer_rows, finer_edges, finer, behind):
+    """Least energy of motions up to the cells of a finer level, from what motions through the larger cells take.
+
+    A motion through a cell that takes at least so much in all has at least that, less the bound there, behind it.
+
+    Args:
+        rows, edges, here: Edges [m], [m/s], and lattice of a stage's cells, as in `place_edges`.
+        planes: Their bounds of the cost to go, (rows, columns, 4).
+        through: Least energy of motions through them [J], inf where they are dropped, (rows, columns).
+        finer_rows, finer_edges, finer: Edges and lattice of the finer cells: halves of some of the rows.
+        behind: Out: energy [J], inf where no cell that is kept shares a state, (finer rows, finer columns).
+    """
+    first = int(np.searchsorted(rows, finer_rows[0]))
+    for p in range(behind.shape[0]):
+        i = first + p // 2
+        c = 0.5 * (finer_rows[p] + finer_rows[p + 1] - rows[i] - rows[i + 1])
+        half_c = 0.5 * (finer_rows[p + 1] - finer_rows[p])
+        for r in range(behind.shape[1]):
+            slow, fast = finer_edges[p, r], finer_edges[p, r + 1]
+            least, j = np.inf, (int(finer[L_J]) + r) // 2 - int(here[L_J])
+            for q in range(max(j - 1, 0), min(j + 2, through.shape[1])):
+                if through[i, q] == np.inf or edges[i, q] >= fast or edges[i, q + 1] <= slow:
+                    continue
+                w = 0.5 * (slow + fast - edges[i, q] - edges[i, q + 1])
+                most = planes[i, q, 0] + planes[i, q, 1] * c + planes[i, q, 2] * w
+                most += abs(planes[i, q, 1]) * half_c + abs(planes[i, q, 2]) * 0.5 * (fast - slow)
+                least = min(least, through[i, q] - max(most, planes[i, q, 3]))
+            behind[p, r] = max(least, 0.0)

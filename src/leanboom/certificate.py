@@ -15,6 +15,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from leanboom.task import Task
 
 ROUNDING = 1e-9  # share of the bound that covers the rounding of floating-point numbers
 ENOUGH = 0.99  # share of the gap asked for by which energies are below the best known one where cells are dropped
+PROMISE = 0.5  # share of a level's gap that may be left with the same slopes on the next
 TRUST = 1e-6  # share of the energy by which a check along a motion may be off, rounding of many sums
 
 
@@ -35,8 +37,8 @@ TRUST = 1e-6  # share of the energy by which a check along a motion may be off, 
 class Level:
     """One round of bounding: cells of one size."""
 
-    positions: int  # cells between the ends of the feasible extensions
-    velocities: int  # cells between the velocity limits
+    positions: int  # cells between the ends of the feasible extensions where they are largest
+    velocities: int  # cells between the velocity limits where they are largest
     cells: int  # cells looked at, all stages together
     lower_bound_j: float  # the best bound so far [J]
     gap_percent: float
@@ -76,6 +78,14 @@ class Certificate:
             f"Certificate({self.task.name}, {self.pump}: at least {self.lower_bound_j:.6g} J, best known "
             f"{self.energy_j:.6g} J, gap {self.gap_percent:.2f} % in {self.certify_s:.1f} s)"
         )
+
+
+@dataclass(slots=True)
+class _Way:
+    """A way to choose the slopes of planes."""
+
+    slopes: Callable[[], cells.GivenSlopes | None]
+    promise: float = 0.0  # gap that it may reach on the next level [%]
 
 
 def certify(
@@ -170,31 +180,29 @@ def _bound(
     enough = best.energy * (1.0 + ROUNDING - ENOUGH * gap / 100.0)  # motions that take more need no closer look
     outside = best.energy  # no motion that leaves the cells takes less
     tell("enclosing the crane's motion over cells", 0.05)
-    kept: cells.Cells | None = cells.whole(problem, pump)
-    chosen: cells.GivenSlopes | None = None
+    kept: cells.Cells | None = cells.whole(problem, pump, best.motion)
+    ways = [_Way(lambda: None)]
+    if guide.memory(problem) < 0.5 * dp.free_memory():
+        known = cache(lambda viable=kept.viable: guide.make(problem, pump, viable, best.motion).slopes)
+        ways.append(_Way(known))
     while kept is not None:
-        name = f"cells {kept.positions}x{kept.velocities}, gap so far {_gap(best.energy, lower):.2f} %"
+        size = kept.positions, int(kept.velocities.min())
+        name = f"cells {size[0]}x{size[1]}, gap so far {_gap(best.energy, lower):.2f} %"
         clock = _clock(began, seconds, name, tell)
         try:
-            found = cells.bound(kept, start, clock, chosen)
-            if not levels and _gap(best.energy, found.lower) > gap and guide.memory(problem) < 0.5 * dp.free_memory():
-                known = guide.make(problem, pump, kept.viable)
-                narrow = cells.whole(problem, pump, best.motion, kept.viable)
-                guided = cells.bound(narrow, start, clock, known.slopes)
-                if guided.lower > found.lower:
-                    kept, found, chosen = narrow, guided, known.slopes
+            found = _tightest(kept, start, best.energy, gap, ways, clock, enough if levels else np.inf)
             if not np.isfinite(found.lower) and not levels:
                 raise InfeasibleError("proven: no motion of the discretised problem keeps every limit")
             _check_along(found, best)
             lower = max(lower, min(found.lower, outside) * (1.0 - ROUNDING))
             gone = time.perf_counter() - began
-            levels.append(Level(kept.positions, kept.velocities, kept.count, lower, _gap(best.energy, lower), gone))
+            levels.append(Level(*size, kept.count, lower, _gap(best.energy, lower), gone))
             if levels[-1].gap_percent <= gap:
                 return tuple(levels), "gap reached"
             excess, outside = cells.reach(found, enough, clock), min(enough, best.energy)
             if cells.memory(kept, excess) > 0.5 * dp.free_memory():
                 return tuple(levels), "smaller cells would not fit into the memory"
-            kept = cells.refine(kept, excess)
+            kept = cells.refine(found, excess)
         except cells.OutOfTime:
             return tuple(levels), "time is over"
     lower = outside * (1.0 - ROUNDING)  # no motion stays in the cells
@@ -202,6 +210,30 @@ def _bound(
     last = levels[-1]
     levels.append(Level(2 * last.positions, 2 * last.velocities, 0, lower, _gap(best.energy, lower), gone))
     return tuple(levels), "gap reached"
+
+
+def _tightest(
+    kept: cells.Cells, start: float | None, energy: float, gap: float, ways: list[_Way],
+    clock: Callable[[float], None], limit: float,
+) -> cells.Bounds:  # fmt: skip
+    """The highest bound by the ways that promise most, one after the other until another promises no more."""
+    found: cells.Bounds | None = None
+    for way in sorted(ways, key=lambda each: each.promise):
+        if found is not None and _gap(energy, found.lower) <= max(gap, way.promise):
+            break
+        try:
+            other = cells.bound(kept, start, clock, way.slopes(), limit)
+        except cells.OutOfTime:
+            if found is None:
+                raise
+            break
+        way.promise = _gap(energy, other.lower)
+        if found is None or other.lower > found.lower:
+            found = other
+    for way in ways:
+        way.promise *= PROMISE
+    assert found is not None
+    return found
 
 
 def _clock(began: float, seconds: float, name: str, tell: Progress) -> Callable[[float], None]:

@@ -34,36 +34,41 @@ from leanboom.dp import Policy
 from leanboom.kernels import (
     AREA_IN,
     AREA_OUT,
-    C_LO,
     COEFFICIENTS,
     CYLINDER_COLUMNS,
+    DC,
     DW,
     EFFICIENCY,
     SETTINGS,
     STAGE_COLUMNS,
     STEP,
-    W_LO,
     interpolate,
     layer,
     within,
 )
+from leanboom.motion import Motion
 from leanboom.stages import Problem
 from leanboom.viability import Viable
 
-GRID = (801, 201)  # positions and velocities of the policy
-MARGIN = 3.0  # spacings of that grid around a cell in which no state may be lost, for its slopes to be used
+GRID = (801, 201)  # positions and velocities of a policy over everything feasible
+TUBE = (201, 321)  # of a policy around the best known motion
+WIDTH, SPREAD = 0.1, 0.08  # [m], [m/s], half widths of the tube
+BORDER = 0.2  # share of a tube at its sides in which its values are not used: no motion may leave it there
+MARGIN = 3.0  # spacings of a policy's grid around a cell in which no state may be lost, for its slopes to be used
 THIN = 1e-6  # [m/s], least half height of a cell for differences over it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Guide:
-    """A policy's values, and which states are lost: beside those, penalties spoil the values."""
+    """Values of policies, and which states are lost: beside those, penalties spoil the values."""
 
-    policy: Policy
+    policies: tuple[Policy, ...]  # ever finer and narrower; the first knows every feasible state
     viable: Viable
 
     def slopes(self, cells: Cells, k: int) -> np.ndarray:
-        """Slopes for the planes of a stage's cells; cells near lost states take what follows from the nearest others.
+        """Slopes for the planes of a stage's cells, from the finest policy that knows a cell.
+
+        Cells near lost states take what follows from the nearest others.
 
         Args:
             cells: The cells.
@@ -74,31 +79,32 @@ class Guide:
         """
         found = np.zeros((*cells.active[k].shape, 2))
         if k < cells.problem.stages - 1:
-            values, stage, setting = self.policy.values[k + 1], self.policy.tables.stage, cells.setting
-            # All lines c' - step w' / 2 that meet the nodes of the next stage.
-            span = 0.5 * setting[STEP] * abs(stage[k + 1, W_LO])
-            line = np.linspace(stage[k + 1, C_LO] - span, self.policy.grid.c_hi[k + 1] + span, 2 * values.shape[0])
-            least, next_w = np.empty(line.size), np.empty(line.size)
-            ridge(values, stage, setting, k + 1, line, least, next_w)
-            follow(
-                cells.model[k], cells.rows[k], cells.edges[k], cells.cylinder, values, stage, setting, k + 1, line,
-                least, next_w, cells.active[k], *self._nearest(cells, k), found,
-            )  # fmt: skip
+            for policy in self.policies:
+                known = _known(policy, cells, k)
+                active = np.where(known, cells.active[k], np.inf)
+                row, column = self._nearest(policy, cells, k, known)
+                values, stage, setting = policy.values[k + 1], policy.tables.stage, cells.setting
+                line = _lines(policy, cells, k + 1)
+                least, next_w = np.empty(line.size), np.empty(line.size)
+                ridge(values, stage, setting, k + 1, line, least, next_w)
+                follow(
+                    cells.model[k], cells.rows[k], cells.edges[k], cells.cylinder, values, stage, setting, k + 1, line,
+                    least, next_w, active, row, column, found,
+                )  # fmt: skip
         charge(
             cells.model[k], cells.rows[k], cells.edges[k], cells.cylinder, cells.setting, cells.fixed[k],
             cells.active[k], found,
         )  # fmt: skip
         return found
 
-    def _nearest(self, cells: Cells, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """For every cell the nearest that keeps the margin: rows, (rows,), and columns, (rows, columns)."""
-        edges, aside = cells.edges[k], MARGIN * self.policy.tables.stage[k, DW]
-        share = cells.share(k, cells.rows[k])
-        apart = MARGIN / (self.policy.grid.positions - 1)
-        below, above = share[:-1] - apart, share[1:] + apart
+    def _nearest(self, policy: Policy, cells: Cells, k: int, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """For every cell the nearest known one that keeps the margin: rows, (rows,), and columns, (rows, columns)."""
+        edges, aside = cells.edges[k], MARGIN * policy.tables.stage[k, DW]
+        apart = MARGIN * policy.tables.stage[k, DC]
+        below, above = cells.share(k, cells.rows[k][:-1] - apart), cells.share(k, cells.rows[k][1:] + apart)
         low = np.where(below < 0.0, np.inf, self.viable.within(k, below, below)[0]) + aside
         high = np.where(above > 1.0, -np.inf, self.viable.within(k, above, above)[1]) - aside
-        keeps = (edges[:, :-1] >= low[:, None] - 1e-9) & (edges[:, 1:] <= high[:, None] + 1e-9)
+        keeps = known & (edges[:, :-1] >= low[:, None] - 1e-9) & (edges[:, 1:] <= high[:, None] + 1e-9)
         some = np.nonzero(keeps.any(axis=1))[0]
         rows, columns = np.arange(keeps.shape[0]), np.arange(keeps.shape[1])
         if some.size == 0:
@@ -108,14 +114,37 @@ class Guide:
         return row, np.clip(columns[None, :], first[row, None], last[row, None])
 
 
-def make(problem: Problem, cost: str, viable: Viable) -> Guide:
-    """The guide of a problem: solve it on a grid."""
-    return Guide(dp.solve(problem, stages.full_grid(problem, *GRID), cost), viable)
+def _known(policy: Policy, cells: Cells, k: int) -> np.ndarray:
+    """Which cells of a stage lie where a policy's values are not spoilt by the sides of its grid, (rows, columns)."""
+    grid, rows, edges = policy.grid, cells.rows[k], cells.edges[k]
+    inset_c, inset_w = BORDER * (grid.c_hi[k] - grid.c_lo[k]), BORDER * (grid.w_hi[k] - grid.w_lo[k])
+    limit = cells.problem.crane.machine.redundant.velocity_limit
+    # Sides that are limits of the motion itself spoil nothing.
+    low_c = -np.inf if grid.c_lo[k] <= cells.problem.lower[k] else grid.c_lo[k] + inset_c
+    high_c = np.inf if grid.c_hi[k] >= cells.problem.upper[k] else grid.c_hi[k] - inset_c
+    low_w = -np.inf if grid.w_lo[k] <= -limit else grid.w_lo[k] + inset_w
+    high_w = np.inf if grid.w_hi[k] >= limit else grid.w_hi[k] - inset_w
+    row = (rows[:-1] >= low_c) & (rows[1:] <= high_c)
+    return row[:, None] & (edges[:, :-1] >= low_w) & (edges[:, 1:] <= high_w)
+
+
+def _lines(policy: Policy, cells: Cells, k: int) -> np.ndarray:
+    """Equally spaced lines c - step w / 2 [m] that meet the nodes of a policy's stage."""
+    grid, half = policy.grid, 0.5 * cells.setting[STEP]
+    low, high = grid.c_lo[k] - half * grid.w_hi[k], grid.c_hi[k] - half * grid.w_lo[k]
+    return np.linspace(low, high, 2 * grid.positions)
+
+
+def make(problem: Problem, cost: str, viable: Viable, beside: Motion) -> Guide:
+    """The guide of a problem: solve it on a grid of everything feasible and on one around a motion."""
+    full = stages.full_grid(problem, *GRID)
+    tube = stages.tube_grid(problem, beside.position, beside.velocity, WIDTH, SPREAD, *TUBE)
+    return Guide((dp.solve(problem, full, cost), dp.solve(problem, tube, cost)), viable)
 
 
 def memory(problem: Problem) -> float:
     """Bytes that making the guide of a problem takes."""
-    return dp.memory(problem.stages, *GRID)
+    return dp.memory(problem.stages, *GRID) + dp.memory(problem.stages, *TUBE)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

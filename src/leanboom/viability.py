@@ -17,7 +17,7 @@ from leanboom import cellwise
 from leanboom.cellwise import ON_LIMIT
 from leanboom.kernels import COEFFICIENTS
 
-BINS = 8  # bins of position in a row of the first level
+BINS = 16  # bins of position in a row of the first level
 STRIPS = 8  # parts of the velocity range, over each of which the acceleration limits are enclosed
 HALVINGS = 30  # of the bracket of a velocity
 
