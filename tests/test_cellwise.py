@@ -54,18 +54,29 @@ def still(problem) -> motion.Motion:
     return motion.from_velocities(problem.step, problem.lower[0] + 0.1, held, "still", "cp")
 
 
-def test_rows_are_narrower_near_a_motion_and_fill_the_feasible_extensions(problem):
-    kept, beside = cells.whole(problem, "cp", still(problem)), still(problem)
+@pytest.mark.parametrize(("pump", "above"), [("cp", 0.1), ("ls", 0.1), ("cp", 0.005)])
+def test_rows_are_narrower_near_a_motion_and_fill_the_feasible_extensions(problem, pump, above):
+    beside = motion.from_velocities(problem.step, problem.lower[0] + above, np.zeros(problem.stages + 1), "still", pump)
+    kept, seen = cells.whole(problem, pump, beside), set()
+    narrower, lower = cells.FINER[pump]
+    ordinary = cells.whole(problem, pump).velocities
     for k, rows in enumerate(kept.rows):
         assert rows[0] == pytest.approx(problem.lower[k], abs=1e-12)
         assert rows[-1] == pytest.approx(problem.upper[k], abs=1e-12)
         width = (problem.upper[k] - problem.lower[k]) / kept.positions
-        narrow = np.abs(0.5 * (rows[1:] + rows[:-1]) - beside.position[k]) < cells.NEAR - width
-        assert np.allclose(np.diff(rows)[narrow], width / cells.NARROWER)
-        far = np.abs(0.5 * (rows[1:] + rows[:-1]) - beside.position[k]) > cells.NEAR + width
-        assert np.allclose(np.diff(rows)[far], width)
+        middle = 0.5 * (rows[1:] + rows[:-1])
+        off, from_end = np.abs(middle - beside.position[k]), np.minimum(middle - rows[0], rows[-1] - middle)
+        at_end = min(beside.position[k] - problem.lower[k], problem.upper[k] - beside.position[k]) < cells.END
+        seen.add(bool(at_end))
+        near, beyond = off < cells.NEAR - width, off > cells.NEAR + width
+        narrowest = near & at_end & (from_end < cells.END - width)
+        assert np.allclose(np.diff(rows)[narrowest], width / cells.NARROWEST)
+        assert np.allclose(np.diff(rows)[near & (not at_end or from_end > cells.END + width)], width / narrower)
+        assert np.allclose(np.diff(rows)[beyond], width)
         if k < problem.stages:
             assert kept.model[k].shape[0] == kept.active[k].shape[0] == rows.size - 1
+            assert kept.active[k].shape[1] == kept.velocities[k] == ordinary[k] * (lower if at_end else 1)
+    assert (above < cells.END) in seen
 
 
 def chosen(kept: cells.Cells, rng: np.random.Generator, columns) -> tuple[np.ndarray, ...]:
@@ -78,12 +89,18 @@ def chosen(kept: cells.Cells, rng: np.random.Generator, columns) -> tuple[np.nda
     return tuple(found)
 
 
+def unknown(kept: cells.Cells) -> cells.Bounds:
+    """Bounds that say nothing."""
+    planes = tuple(np.zeros((*active.shape, 4)) for active in kept.active)
+    return cells.Bounds(kept, planes, np.zeros(kept.active[0].shape))
+
+
 @pytest.mark.parametrize("pump", ["cp", "ls"])
 def test_smaller_cells_hold_every_state_of_the_cells_kept(problem, rng, pump):
     kept = cells.whole(problem, pump, still(problem))
     for columns in (slice(14, 26), [0, -1]):  # the second time at the sides of the windows
         excess = chosen(kept, rng, columns)
-        finer = cells.refine(kept, excess)
+        finer = cells.refine(unknown(kept), excess)
         for k in range(problem.stages):
             for p, r in rng.permutation(np.argwhere(np.isfinite(excess[k])))[:60]:
                 slow, fast = kept.edges[k][p, r : r + 2]
@@ -91,6 +108,6 @@ def test_smaller_cells_hold_every_state_of_the_cells_kept(problem, rng, pump):
                     row = int(np.searchsorted(finer.rows[k], rng.uniform(*kept.rows[k][p : p + 2]))) - 1
                     edges = finer.edges[k][row]
                     assert edges[0] <= w <= edges[-1]
-                    assert finer.active[k][row, int(np.searchsorted(edges, w)) - 1] == 0.0
+                    assert finer.active[k][row, int(np.searchsorted(edges, w)) - 1] < np.inf
         assert finer.count < 8 * sum(int(np.isfinite(e).sum()) for e in excess)
         kept = finer

@@ -44,16 +44,25 @@ def test_bound_never_exceeds_the_brute_force_optimum(seed, pump):
     assert best is not None
     kept, bound = cells.whole(problem, pump, best if seed % 3 else None), 0.0
     for _ in range(4):
-        found = cells.bound(kept, start, quiet)
+        found = cells.bound(kept, start, quiet, limit=least * (1.0 + 1e-9))
         assert found.lower <= least * (1.0 + 1e-9)
         costs = incumbent.measure(problem, best, pump).costs
         assert cells.residuals(found, best, costs).min() >= -1e-9 * least
         bound = max(bound, found.lower)
-        refined = cells.refine(kept, cells.reach(found, least, quiet))
+        refined = cells.refine(found, cells.reach(found, least * (1.0 + 1e-9), quiet))
         if refined is None:
             break
+        for k, taken in enumerate(np.cumsum(costs) - costs):
+            assert energy_behind(refined, k, best.position[k], best.velocity[k]) <= taken + 1e-9 * least
         kept = refined
     assert bound >= 0.9 * least  # close enough to mean something
+
+
+def energy_behind(kept: cells.Cells, k: int, position: float, velocity: float) -> float:
+    """Least energy that a motion through a state has taken so far, as its cell says [J]; inf where it is dropped."""
+    row = min(max(int(np.searchsorted(kept.rows[k], position)) - 1, 0), kept.active[k].shape[0] - 1)
+    column = int(np.searchsorted(kept.edges[k][row], velocity)) - 1
+    return float(kept.active[k][row, min(max(column, 0), kept.active[k].shape[1] - 1)])
 
 
 @pytest.mark.parametrize("pump", ["cp", "ls"])

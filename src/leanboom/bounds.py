@@ -259,6 +259,8 @@ def cells(  # noqa: PLR0913
     off = SNAP if int(setting[COST]) == LS else 0.0
     next_dw, next_half, j_ahead = there[L_DW], (0.5 + off) * there[L_DW], int(there[L_J])
     lead = i_first = 0
+    # Forms with the slopes of the cell's plane, without, or both.
+    sloped, level_too = (1 if kind == MIDDLE else 0), (2 if kind in (MIDDLE, FLOORED) else 1)
     for p in range(first, last):
         expand(model, p, coefficients)
         c, half_c = 0.5 * (rows[p + 1] + rows[p]), 0.5 * (rows[p + 1] - rows[p])
@@ -343,8 +345,7 @@ def cells(  # noqa: PLR0913
                         g0 = cost_m + level + slope_c * (drift - 0.5 * (bottom_c + top_c))
                         g0 += slope_w * (next_w - 0.5 * (bottom + top))
                         gy = cost_y + lean + slope_w
-                        # With the slopes of the cell's plane, then without.
-                        for level_plane in range(kind == MIDDLE, 1 + (kind == MIDDLE or kind == FLOORED)):
+                        for level_plane in range(sloped, level_too):
                             gt, gx = cost_t + slope_c * half_c, cost_x + lean
                             if not level_plane:
                                 gt, gx = gt - planes[p, r, 1] * half_c, gx - planes[p, r, 2]

@@ -24,13 +24,14 @@ from leanboom.viability import Viable
 
 POSITION = 0.006  # [m], largest width of a row of the first level
 VELOCITY = 0.01  # [m/s], largest height of a cell of the first level
-NEAR, NARROWER = 0.1, 4  # [m], from a motion to which rows beside it are so many times narrower
-END, NARROWEST, LOWER = 0.02, 16, 4  # [m], from an end to which a motion's rows are narrowest and its cells lower
+NEAR = 0.1  # [m], from a motion to which rows beside it are narrower
+END, NARROWEST = 0.02, 16  # [m], from an end to which a motion's rows are so many times narrower, and cells lower
+# How many times narrower rows and lower cells are there; where power jumps with velocity (LS), rows do more.
+FINER = {"cp": (4, 4), "ls": (8, 2)}
 AT_ONCE = 8192  # rows enclosed together: what their formulas need in between stays in the processor's caches
 UNKNOWN = 1e30  # error of a coefficient that cannot be enclosed over a cell
 SHARES = 8  # parts a thread takes of a stage: rows differ in work
 AT_REST = 1e-6  # [m/s], velocity below which a motion ends at rest
-ON_ROW = 1e-9  # [m], by which a position may be off a row to be counted in it
 ON_EDGE = 1e-10  # [m/s], by which a velocity may be off a cell to be counted in it
 THIN = 1e-9  # [m], least range of a stage's positions
 CLOSE = 1e-6  # [m], [m/s], least distance of middles for a slope
@@ -47,7 +48,7 @@ class Cells:
     positions: int  # rows between the ends of a stage's feasible extensions, narrower ones apart
     velocities: np.ndarray  # cells between the limits of the redundant cylinder's velocity, (stages,)
     lattice: np.ndarray  # (stages + 1, cellwise.LATTICE)
-    active: tuple[np.ndarray, ...]  # least energy of motions up to a cell [J], inf where it is not kept, (rows, columns)
+    active: tuple[np.ndarray, ...]  # energy motions take up to a cell at least [J], inf where not kept: (rows, columns)
     model: tuple[np.ndarray, ...]  # enclosures of the coefficients, (rows, moving, COEFFICIENTS, 4) a stage
     rows: tuple[np.ndarray, ...]  # edges of the rows of cells [m], (rows + 1,) a stage and the end
     edges: tuple[np.ndarray, ...]  # of the cells in velocity [m/s], (rows, columns + 1) a stage and the end
@@ -64,7 +65,7 @@ class Cells:
 
     def middles(self, k: int) -> np.ndarray:
         """Velocities in the middle of a stage's cells [m/s], (rows, columns)."""
-        return 0.5 * (self.edges[k][:, 1:] + self.edges[k][:, :-1])
+        return _middles(self.edges[k].T).T
 
     def share(self, k: int, position: np.ndarray) -> np.ndarray:
         """Positions [m] as shares of a stage's feasible extensions."""
@@ -100,17 +101,18 @@ def whole(problem: Problem, cost: str, beside: Motion | None = None, viable: Via
 
     Args:
         problem: The discretised task.
-        cost: A name of `objective.COSTS`.
+        cost: "ls" or "cp".
         beside: A motion near which rows are narrower.
         viable: Viable velocities, where they are known.
     """
     limit = problem.crane.machine.redundant.velocity_limit
     positions = max(2, int(np.ceil(np.max(problem.upper - problem.lower) / POSITION)))
-    rows = [_rows(problem, k, positions, beside) for k in range(problem.stages + 1)]
+    narrower, lower = FINER[cost]
+    rows = [_rows(problem, k, positions, beside, narrower) for k in range(problem.stages + 1)]
     corner = np.zeros(problem.stages, dtype=int)
     velocities = np.full(problem.stages, 2 * int(np.ceil(limit / VELOCITY)))
     if beside is not None:
-        velocities[_from_end(problem, slice(-1), beside.position[:-1]) < END] *= LOWER
+        velocities[_from_end(problem, slice(-1), beside.position[:-1]) < END] *= lower
     return _cut(problem, cost, positions, velocities, rows, velocities, corner, viable)
 
 
@@ -119,7 +121,7 @@ def _from_end(problem: Problem, k: int | slice, position: np.ndarray) -> np.ndar
     return np.minimum(position - problem.lower[k], problem.upper[k] - position)
 
 
-def _rows(problem: Problem, k: int, positions: int, beside: Motion | None) -> np.ndarray:
+def _rows(problem: Problem, k: int, positions: int, beside: Motion | None, narrower: int) -> np.ndarray:
     """Edges of the rows of a stage [m]: `positions` equal ones, those near the motion cut into narrower ones."""
     low, high = problem.lower[k], max(problem.upper[k], problem.lower[k] + THIN)
     edges = np.arange(positions * NARROWEST + 1)
@@ -127,7 +129,7 @@ def _rows(problem: Problem, k: int, positions: int, beside: Motion | None) -> np
     parts = np.ones(positions + 1, dtype=int)
     if beside is not None:
         near = np.abs(middle - beside.position[k]) < NEAR
-        parts[near] = NARROWER
+        parts[near] = narrower
         if _from_end(problem, k, beside.position[k]) < END:
             parts[near & (_from_end(problem, k, middle) < END)] = NARROWEST
     edges = edges[edges % (NARROWEST // parts[edges // NARROWEST]) == 0]
@@ -198,7 +200,7 @@ def enclosures(problem: Problem, rows: list[np.ndarray]) -> tuple[np.ndarray, ..
     counts = [edges.size - 1 for edges in rows]
     stage = np.repeat(np.arange(len(rows)), counts)
     half = np.concatenate([0.5 * np.diff(edges) for edges in rows])
-    middle = np.concatenate([0.5 * (edges[1:] + edges[:-1]) for edges in rows])
+    middle = np.concatenate([_middles(edges) for edges in rows])
     parts = [slice(first, first + AT_ONCE) for first in range(0, stage.size, AT_ONCE)]
     out = np.concatenate([_enclosed(problem, stage[part], middle[part], half[part]) for part in parts])
     return tuple(np.split(out, np.cumsum(counts)[:-1]))
@@ -269,7 +271,7 @@ def _planes(pool: _Pool, k: int, ahead: np.ndarray) -> np.ndarray:
     here = np.zeros((*active.shape, 4))
     middle = pool.run(bounds.MIDDLE, k, active, here, ahead)
     rows = cells.rows[k]
-    here[..., 1] = slopes(middle, 0, 0.5 * (rows[1:] + rows[:-1])[:, None])
+    here[..., 1] = slopes(middle, 0, _middles(rows)[:, None])
     here[..., 2] = slopes(middle, 1, cells.middles(k))
     level = pool.run(bounds.PLANE, k, active, here, ahead)
     with np.errstate(invalid="ignore"):
@@ -333,14 +335,14 @@ def slopes(values: np.ndarray, axis: int, at: np.ndarray) -> np.ndarray:
 def _at_start(cells: Cells, planes: np.ndarray, start: float | None) -> np.ndarray:
     """Least value over the start states of each cell of stage 0, inf where a cell holds none."""
     rows = cells.rows[0]
-    half, middle = 0.5 * np.diff(rows), 0.5 * (rows[1:] + rows[:-1])
+    half, middle = 0.5 * np.diff(rows), _middles(rows)
     off = -cells.middles(0)  # from the middle to rest
     if start is None:
         low, high = -half, half
         inside = np.ones(middle.size, dtype=bool)
     else:
         low = high = start - middle
-        inside = np.abs(low) <= half + bounds.ON_LIMIT
+        inside = np.abs(low) <= half + cellwise.ON_LIMIT
     value = planes[..., 0] + planes[..., 2] * off
     value = value + np.minimum(planes[..., 1] * low[:, None], planes[..., 1] * high[:, None])
     value = np.maximum(value, np.where(np.isfinite(planes[..., 0]), planes[..., 3], np.inf))
@@ -396,9 +398,14 @@ def refine(found: Bounds, excess: tuple[np.ndarray, ...]) -> Cells | None:
     return finer
 
 
+def _middles(edges: np.ndarray) -> np.ndarray:
+    """Middles between edges, along the first axis."""
+    return 0.5 * (edges[1:] + edges[:-1])
+
+
 def _halved(edges: np.ndarray) -> np.ndarray:
     """Edges with the middles between them."""
-    return np.append(np.stack([edges[:-1], 0.5 * (edges[1:] + edges[:-1])], axis=1), edges[-1])
+    return np.append(np.stack([edges[:-1], _middles(edges)], axis=1), edges[-1])
 
 
 def memory(cells: Cells, excess: tuple[np.ndarray, ...]) -> float:
@@ -415,7 +422,7 @@ def value_at(found: Bounds, k: int, position: float, velocity: float) -> float:
         return 0.0 if abs(velocity) < AT_REST else np.inf
     planes, edges, rows = found.planes[k], found.cells.edges[k], found.cells.rows[k]
     least = np.inf
-    touched = (rows[:-1] - ON_ROW <= position) & (position <= rows[1:] + ON_ROW)
+    touched = (rows[:-1] - cellwise.ON_LIMIT <= position) & (position <= rows[1:] + cellwise.ON_LIMIT)
     for i in np.nonzero(touched)[0]:
         inside = (edges[i, :-1] - ON_EDGE <= velocity) & (velocity <= edges[i, 1:] + ON_EDGE)
         for j in np.nonzero(inside & np.isfinite(planes[i, :, 0]))[0]:

@@ -87,6 +87,14 @@ class _Way:
     slopes: Callable[[], cells.GivenSlopes | None]
     promise: float = 0.0  # gap that it may reach on the next level [%]
 
+    def bound(
+        self, kept: cells.Cells, start: float | None, energy: float, clock: Callable[[float], None], limit: float
+    ) -> cells.Bounds:
+        """The bound with these slopes."""
+        found = cells.bound(kept, start, clock, self.slopes(), limit)
+        self.promise = _gap(energy, found.lower)
+        return found
+
 
 def certify(
     task: Task,
@@ -216,24 +224,20 @@ def _tightest(
     kept: cells.Cells, start: float | None, energy: float, gap: float, ways: list[_Way],
     clock: Callable[[float], None], limit: float,
 ) -> cells.Bounds:  # fmt: skip
-    """The highest bound by the ways that promise most, one after the other until another promises no more."""
-    found: cells.Bounds | None = None
-    for way in sorted(ways, key=lambda each: each.promise):
-        if found is not None and _gap(energy, found.lower) <= max(gap, way.promise):
+    """The highest bound by the way that promises most, and by others while they promise more than was found."""
+    first, *others = sorted(ways, key=lambda each: each.promise)
+    best = first.bound(kept, start, energy, clock, limit)
+    for way in others:
+        if _gap(energy, best.lower) <= max(gap, way.promise):
             break
         try:
-            other = cells.bound(kept, start, clock, way.slopes(), limit)
+            found = way.bound(kept, start, energy, clock, limit)
         except cells.OutOfTime:
-            if found is None:
-                raise
             break
-        way.promise = _gap(energy, other.lower)
-        if found is None or other.lower > found.lower:
-            found = other
+        best = found if found.lower > best.lower else best
     for way in ways:
         way.promise *= PROMISE
-    assert found is not None
-    return found
+    return best
 
 
 def _clock(began: float, seconds: float, name: str, tell: Progress) -> Callable[[float], None]:
