@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leanboom import cells, cellwise, load_task, motion, stages
+from leanboom import cells, cellwise, intervals, load_task, motion, stages
 from leanboom import crane as cranes
 
 
@@ -58,7 +58,7 @@ def still(problem) -> motion.Motion:
 def test_rows_are_narrower_near_a_motion_and_fill_the_feasible_extensions(problem, pump, above):
     beside = motion.from_velocities(problem.step, problem.lower[0] + above, np.zeros(problem.stages + 1), "still", pump)
     kept, seen = cells.whole(problem, pump, beside), set()
-    narrower, lower = cells.FINER[pump]
+    narrower, lower = intervals.FINER[pump]
     ordinary = cells.whole(problem, pump).velocities
     for k, rows in enumerate(kept.rows):
         assert rows[0] == pytest.approx(problem.lower[k], abs=1e-12)
@@ -66,17 +66,17 @@ def test_rows_are_narrower_near_a_motion_and_fill_the_feasible_extensions(proble
         width = (problem.upper[k] - problem.lower[k]) / kept.positions
         middle = 0.5 * (rows[1:] + rows[:-1])
         off, from_end = np.abs(middle - beside.position[k]), np.minimum(middle - rows[0], rows[-1] - middle)
-        at_end = min(beside.position[k] - problem.lower[k], problem.upper[k] - beside.position[k]) < cells.END
+        at_end = min(beside.position[k] - problem.lower[k], problem.upper[k] - beside.position[k]) < intervals.END
         seen.add(bool(at_end))
-        near, beyond = off < cells.NEAR - width, off > cells.NEAR + width
-        narrowest = near & at_end & (from_end < cells.END - width)
-        assert np.allclose(np.diff(rows)[narrowest], width / cells.NARROWEST)
-        assert np.allclose(np.diff(rows)[near & (not at_end or from_end > cells.END + width)], width / narrower)
+        near, beyond = off < intervals.NEAR - width, off > intervals.NEAR + width
+        narrowest = near & at_end & (from_end < intervals.END - width)
+        assert np.allclose(np.diff(rows)[narrowest], width / intervals.NARROWEST)
+        assert np.allclose(np.diff(rows)[near & (not at_end or from_end > intervals.END + width)], width / narrower)
         assert np.allclose(np.diff(rows)[beyond], width)
         if k < problem.stages:
             assert kept.model[k].shape[0] == kept.active[k].shape[0] == rows.size - 1
             assert kept.active[k].shape[1] == kept.velocities[k] == ordinary[k] * (lower if at_end else 1)
-    assert (above < cells.END) in seen
+    assert (above < intervals.END) in seen
 
 
 def chosen(kept: cells.Cells, rng: np.random.Generator, columns) -> tuple[np.ndarray, ...]:

@@ -14,26 +14,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leanboom import bounds, cellwise, enclosure, kernels, stages, viability
-from leanboom import crane as cranes
+from leanboom import bounds, cellwise, intervals, kernels, stages, viability
 from leanboom.cellwise import L_DW, L_J, L_W, LATTICE
-from leanboom.enclosure import Enclosure
 from leanboom.motion import Motion
 from leanboom.stages import Problem
 from leanboom.viability import Viable
 
-POSITION = 0.006  # [m], largest width of a row of the first level
 VELOCITY = 0.01  # [m/s], largest height of a cell of the first level
-NEAR = 0.1  # [m], from a motion to which rows beside it are narrower
-END, NARROWEST = 0.02, 16  # [m], from an end to which a motion's rows are so many times narrower, and cells lower
-# How many times narrower rows and lower cells are there; where power jumps with velocity (LS), rows do more.
-FINER = {"cp": (4, 4), "ls": (8, 2)}
-AT_ONCE = 8192  # rows enclosed together: what their formulas need in between stays in the processor's caches
-UNKNOWN = 1e30  # error of a coefficient that cannot be enclosed over a cell
 SHARES = 8  # parts a thread takes of a stage: rows differ in work
 AT_REST = 1e-6  # [m/s], velocity below which a motion ends at rest
 ON_EDGE = 1e-10  # [m/s], by which a velocity may be off a cell to be counted in it
-THIN = 1e-9  # [m], least range of a stage's positions
 CLOSE = 1e-6  # [m], [m/s], least distance of middles for a slope
 NO_FLOORS = np.empty((0, 0))  # of passes that find none
 BENT = 0.5  # a plane that loses more than this share of what it rises to a corner is tried again, level
@@ -65,12 +55,12 @@ class Cells:
 
     def middles(self, k: int) -> np.ndarray:
         """Velocities in the middle of a stage's cells [m/s], (rows, columns)."""
-        return _middles(self.edges[k].T).T
+        return intervals.middles(self.edges[k].T).T
 
     def share(self, k: int, position: np.ndarray) -> np.ndarray:
         """Positions [m] as shares of a stage's feasible extensions."""
         lower, upper = self.problem.lower[k], self.problem.upper[k]
-        return (position - lower) / max(upper - lower, THIN)
+        return (position - lower) / max(upper - lower, intervals.THIN)
 
 
 GivenSlopes = Callable[[Cells, int], np.ndarray]  # as `guide.Guide.slopes`
@@ -106,34 +96,14 @@ def whole(problem: Problem, cost: str, beside: Motion | None = None, viable: Via
         viable: Viable velocities, where they are known.
     """
     limit = problem.crane.machine.redundant.velocity_limit
-    positions = max(2, int(np.ceil(np.max(problem.upper - problem.lower) / POSITION)))
-    narrower, lower = FINER[cost]
-    rows = [_rows(problem, k, positions, beside, narrower) for k in range(problem.stages + 1)]
+    positions = max(2, int(np.ceil(np.max(problem.upper - problem.lower) / intervals.POSITION)))
+    narrower, lower = intervals.FINER[cost]
+    rows = [intervals.whole(problem, k, positions, beside, narrower) for k in range(problem.stages + 1)]
     corner = np.zeros(problem.stages, dtype=int)
     velocities = np.full(problem.stages, 2 * int(np.ceil(limit / VELOCITY)))
     if beside is not None:
-        velocities[_from_end(problem, slice(-1), beside.position[:-1]) < END] *= lower
+        velocities[intervals.from_end(problem, slice(-1), beside.position[:-1]) < intervals.END] *= lower
     return _cut(problem, cost, positions, velocities, rows, velocities, corner, viable)
-
-
-def _from_end(problem: Problem, k: int | slice, position: np.ndarray) -> np.ndarray:
-    """Distances of positions from the next end of their stage's feasible extensions [m]."""
-    return np.minimum(position - problem.lower[k], problem.upper[k] - position)
-
-
-def _rows(problem: Problem, k: int, positions: int, beside: Motion | None, narrower: int) -> np.ndarray:
-    """Edges of the rows of a stage [m]: `positions` equal ones, those near the motion cut into narrower ones."""
-    low, high = problem.lower[k], max(problem.upper[k], problem.lower[k] + THIN)
-    edges = np.arange(positions * NARROWEST + 1)
-    middle = low + (high - low) * (np.arange(positions + 1) + 0.5) / positions
-    parts = np.ones(positions + 1, dtype=int)
-    if beside is not None:
-        near = np.abs(middle - beside.position[k]) < NEAR
-        parts[near] = narrower
-        if _from_end(problem, k, beside.position[k]) < END:
-            parts[near & (_from_end(problem, k, middle) < END)] = NARROWEST
-    edges = edges[edges % (NARROWEST // parts[edges // NARROWEST]) == 0]
-    return low + (high - low) * edges / (positions * NARROWEST)
 
 
 def _cut(  # noqa: PLR0913
@@ -160,7 +130,7 @@ def _cut(  # noqa: PLR0913
     cylinder = stages.cylinder_table(problem)
     setting = stages.setting(problem, cost, (0.0, 0.0, 0.0, 0.0))
     setting[kernels.EPSILON] = problem.crane.machine.driven_velocity
-    model = enclosures(problem, rows[:n])
+    model = intervals.enclosures(problem, rows[:n])
     columns = [np.tile([-limit, limit], (edges.size - 1, 1)) for edges in rows]
     edges = [np.zeros((stage.shape[0], count + 1)) for stage, count in zip(model, counts, strict=True)]
     for k, stage in enumerate(model):
@@ -185,48 +155,6 @@ def _fixed(problem: Problem, cost: str) -> np.ndarray:
     """Pump flow [m^3/s] and pressure [Pa] of the prescribed cylinders, (stages + 1, 2)."""
     flow, pressure, _ = stages.prescribed(problem, cost)
     return np.stack([flow, pressure], axis=1)
-
-
-def enclosures(problem: Problem, rows: list[np.ndarray]) -> tuple[np.ndarray, ...]:
-    """Enclosures of all coefficients over the position cells of every stage's window.
-
-    Args:
-        problem: The discretised task.
-        rows: Edges of the rows of each window [m], (rows + 1,) a stage.
-
-    Returns:
-        Per stage an array (rows, moving, kernels.COEFFICIENTS, 4): p0, p1, p2 and error of `enclosure.Enclosure`.
-    """
-    counts = [edges.size - 1 for edges in rows]
-    stage = np.repeat(np.arange(len(rows)), counts)
-    half = np.concatenate([0.5 * np.diff(edges) for edges in rows])
-    middle = np.concatenate([_middles(edges) for edges in rows])
-    parts = [slice(first, first + AT_ONCE) for first in range(0, stage.size, AT_ONCE)]
-    out = np.concatenate([_enclosed(problem, stage[part], middle[part], half[part]) for part in parts])
-    return tuple(np.split(out, np.cumsum(counts)[:-1]))
-
-
-def _enclosed(problem: Problem, stage: np.ndarray, middle: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Enclosures of all coefficients over intervals of positions, each at a stage of its own."""
-    with np.errstate(all="ignore"):  # beside a singular pose bounds may be infinite
-        pose = cranes.pose(problem.crane, problem.plane[stage], enclosure.variable(middle, half))
-        motions = [cranes.move(pose, w, u) for w, u in ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
-    still, forth = motions[:2]
-    cylinders = range(len(problem.crane.machine.cylinders))[problem.moving]
-    out = np.empty((stage.size, len(cylinders), kernels.COEFFICIENTS, 4))
-    with np.errstate(all="ignore"):
-        for m, i in enumerate(cylinders):
-            columns = [still.velocity[i], forth.velocity[i] - still.velocity[i]]
-            for name in ("acceleration", "load"):
-                c0, c1, c2, c3 = (getattr(each, name)[i] for each in motions)
-                columns += [c0, 0.5 * (c1 - c2), 0.5 * (c1 + c2) - c0, c3 - c0]
-            for q, value in enumerate([*columns, pose.coulomb[i]]):
-                model: Enclosure = enclosure.constant(value)
-                for part, name in enumerate(("p0", "p1", "p2", "error")):
-                    out[:, m, q, part] = getattr(model, name)
-    out[..., 3] += enclosure.ROUNDING * np.abs(out[..., :3]).sum(axis=-1)
-    out[~np.isfinite(out).all(axis=-1) | (out[..., 3] > UNKNOWN)] = (0.0, 0.0, 0.0, UNKNOWN)
-    return out
 
 
 def bound(
@@ -271,7 +199,7 @@ def _planes(pool: _Pool, k: int, ahead: np.ndarray) -> np.ndarray:
     here = np.zeros((*active.shape, 4))
     middle = pool.run(bounds.MIDDLE, k, active, here, ahead)
     rows = cells.rows[k]
-    here[..., 1] = slopes(middle, 0, _middles(rows)[:, None])
+    here[..., 1] = slopes(middle, 0, intervals.middles(rows)[:, None])
     here[..., 2] = slopes(middle, 1, cells.middles(k))
     level = pool.run(bounds.PLANE, k, active, here, ahead)
     with np.errstate(invalid="ignore"):
@@ -335,7 +263,7 @@ def slopes(values: np.ndarray, axis: int, at: np.ndarray) -> np.ndarray:
 def _at_start(cells: Cells, planes: np.ndarray, start: float | None) -> np.ndarray:
     """Least value over the start states of each cell of stage 0, inf where a cell holds none."""
     rows = cells.rows[0]
-    half, middle = 0.5 * np.diff(rows), _middles(rows)
+    half, middle = 0.5 * np.diff(rows), intervals.middles(rows)
     off = -cells.middles(0)  # from the middle to rest
     if start is None:
         low, high = -half, half
@@ -382,12 +310,12 @@ def refine(found: Bounds, excess: tuple[np.ndarray, ...]) -> Cells | None:
         rows, columns = np.nonzero(some.any(axis=1))[0], np.nonzero(some.any(axis=0))[0]
         if rows.size == 0:
             return None
-        halved.append(_halved(cells.rows[k][rows[0] : rows[-1] + 2]))
+        halved.append(intervals.halved(cells.rows[k][rows[0] : rows[-1] + 2]))
         # Edges of both levels are moved, by less than half a cell each: a neighbour may take over a strip.
         origin = int(cells.lattice[k, L_J])
         first, last = max(origin + columns[0] - 1, 0), min(origin + columns[-1] + 1, int(cells.velocities[k]) - 1)
         corner[k], counts[k] = 2 * first, 2 * (last - first + 1)
-    halved.append(_halved(cells.rows[n]))
+    halved.append(intervals.halved(cells.rows[n]))
     size = 2 * cells.positions, 2 * cells.velocities
     finer = _cut(cells.problem, cells.cost, *size, halved, counts, corner, cells.viable)
     for k, reached in enumerate(excess):
@@ -396,16 +324,6 @@ def refine(found: Bounds, excess: tuple[np.ndarray, ...]) -> Cells | None:
             finer.edges[k], finer.lattice[k], finer.active[k],
         )  # fmt: skip
     return finer
-
-
-def _middles(edges: np.ndarray) -> np.ndarray:
-    """Middles between edges, along the first axis."""
-    return 0.5 * (edges[1:] + edges[:-1])
-
-
-def _halved(edges: np.ndarray) -> np.ndarray:
-    """Edges with the middles between them."""
-    return np.append(np.stack([edges[:-1], _middles(edges)], axis=1), edges[-1])
 
 
 def memory(cells: Cells, excess: tuple[np.ndarray, ...]) -> float:

@@ -31,9 +31,9 @@ SOLVED = "solved"  # folder of the solutions
 # Modules that present results or do what no experiment does: their sources have no part in a solution.
 APART = (
     "bounds", "cells", "cellwise", "certificate", "charts", "cli", "comparison", "continuation", "enclosure",
-    "experiments", "figures", "guide", "horizon", "incumbent", "inspection", "jobs", "lookahead", "printed", "proofs",
-    "replanning", "report", "reproduction", "results", "runfolder", "simulation_page", "tables", "variations",
-    "viability", "writing",
+    "experiments", "figures", "guide", "horizon", "incumbent", "inspection", "intervals", "jobs", "lookahead",
+    "printed", "proofs", "replanning", "report", "reproduction", "results", "runfolder", "simulation_page", "tables",
+    "variations", "viability", "writing",
 )  # fmt: skip
 
 Progress = Callable[[str, float], None]
