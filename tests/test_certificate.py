@@ -2,13 +2,25 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 import slow_bounds
-from leanboom import InfeasibleError, InputError, LeanboomError, cells, certify, incumbent, load_task, motion, stages
+from leanboom import (
+    InfeasibleError,
+    InputError,
+    LeanboomError,
+    cells,
+    certificate,
+    certify,
+    incumbent,
+    load_task,
+    motion,
+    stages,
+)
 from leanboom.cli import app
 from leanboom.machine import Pump
 from leanboom.task import Lines, Task
@@ -122,6 +134,33 @@ def test_a_bound_that_contradicts_the_motion_is_not_certified(monkeypatch):
     task = replace(load_task("forwarder-vertical"), start="middle")
     with pytest.raises(LeanboomError, match="contradicts the motion"):
         certify(task, "cp", step=0.5, gap=1.0)
+
+
+def test_the_way_that_promises_most_comes_first_and_others_while_they_promise_more(monkeypatch):
+    gaps = {"own": iter([10.0, 1.0]), "guided": iter([6.0, 4.0, 3.0])}
+    tried = []
+
+    def bound(kept, start, clock, slopes, limit):
+        tried.append(slopes)
+        return SimpleNamespace(lower=100.0 - next(gaps[slopes]))
+
+    monkeypatch.setattr(cells, "bound", bound)
+    ways = [certificate._Way(lambda: "own"), certificate._Way(lambda: "guided")]  # noqa: SLF001
+    levels = [certificate._tightest(None, 0.0, 100.0, 0.5, ways, quiet, np.inf).lower for _ in range(3)]  # noqa: SLF001
+    # Own left 10 % and promises 5 %, then 2.5 %: it is asked again when guided slopes leave 3 %.
+    assert tried == ["own", "guided", "guided", "guided", "own"]
+    assert levels == [94.0, 96.0, 99.0]
+
+
+def test_a_bound_found_in_time_counts_although_a_second_way_is_not(monkeypatch):
+    def bound(kept, start, clock, slopes, limit):
+        if slopes == "guided":
+            raise cells.OutOfTime
+        return SimpleNamespace(lower=90.0)
+
+    monkeypatch.setattr(cells, "bound", bound)
+    ways = [certificate._Way(lambda: "own"), certificate._Way(lambda: "guided")]  # noqa: SLF001
+    assert certificate._tightest(None, 0.0, 100.0, 0.5, ways, quiet, np.inf).lower == 90.0  # noqa: SLF001
 
 
 def test_bound_rises_with_refinement():
