@@ -30,6 +30,7 @@ from leanboom.task import Task
 ROUNDING = 1e-9  # share of the bound that covers the rounding of floating-point numbers
 ENOUGH = 0.99  # share of the gap asked for by which energies are below the best known one where cells are dropped
 PROMISE = 0.5  # share of a level's gap that may be left with the same slopes on the next
+HOPELESS = 15.0  # gap [%] at which cells are so large that other slopes are not worth their time
 TRUST = 1e-6  # share of the energy by which a check along a motion may be off, rounding of many sums
 
 
@@ -228,7 +229,11 @@ def _tightest(
     first, *others = sorted(ways, key=lambda each: each.promise)
     best = first.bound(kept, start, energy, clock, limit)
     for way in others:
-        if _gap(energy, best.lower) <= max(gap, way.promise):
+        left = _gap(energy, best.lower)
+        if left > HOPELESS:
+            way.promise = max(way.promise, left)
+            continue
+        if left <= max(gap, way.promise):
             break
         try:
             found = way.bound(kept, start, energy, clock, limit)
