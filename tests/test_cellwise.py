@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leanboom import cells, cellwise, intervals, load_task, motion, stages
+from leanboom import cells, cellwise, intervals, kernels, load_task, motion, stages
 from leanboom import crane as cranes
 
 
@@ -111,3 +111,19 @@ def test_smaller_cells_hold_every_state_of_the_cells_kept(problem, rng, pump):
                     assert finer.active[k][row, int(np.searchsorted(edges, w)) - 1] < np.inf
         assert finer.count < 8 * sum(int(np.isfinite(e).sum()) for e in excess)
         kept = finer
+
+
+@pytest.mark.parametrize(("share", "moved"), [(0.3, 0), (1.7, 2), (39.6, 0)])
+def test_edges_on_the_velocity_limits_stay(share, moved):
+    """A threshold beside a limit moves no edge inward: states between would be in no cell."""
+    limit, height, epsilon = 0.2, 0.01, 1e-4
+    model = np.zeros((1, 1, kernels.COEFFICIENTS, 4))
+    model[0, 0, kernels.A0, 0], model[0, 0, kernels.A1, 0] = epsilon + limit - share * height, 1.0
+    setting = np.zeros(kernels.SETTINGS)
+    setting[kernels.EPSILON], setting[kernels.COST] = epsilon, kernels.LS
+    edges = np.zeros((1, 41))
+    cellwise.place_edges(model, setting, np.array([-limit, height, 0.0]), edges)
+    plain = -limit + height * np.arange(41)
+    assert (edges[0, 0], edges[0, -1]) == pytest.approx((-limit, limit), abs=1e-12)
+    changed = np.nonzero(np.abs(edges[0] - plain) > 1e-6)[0].tolist()
+    assert changed == ([moved] if moved else [])

@@ -139,6 +139,13 @@ def test_a_bound_that_contradicts_the_motion_is_not_certified(monkeypatch):
         certify(task, "cp", step=0.5, gap=1.0)
 
 
+def test_a_bound_above_the_motion_is_not_certified(monkeypatch):
+    honest = cells.bound
+    monkeypatch.setattr(cells, "bound", lambda *given: replace(honest(*given), start=np.full((1, 1), 1e9)))
+    with pytest.raises(LeanboomError, match="above the energy of the motion"):
+        certify(replace(load_task("forwarder-vertical"), start="middle"), "cp", step=0.5)
+
+
 def test_the_way_that_promises_most_comes_first_and_others_while_they_promise_more(monkeypatch):
     gaps = {"own": iter([10.0, 1.0]), "guided": iter([6.0, 4.0, 3.0])}
     tried = []

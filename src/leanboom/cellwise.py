@@ -195,7 +195,8 @@ def surely_beyond(a0, a1, limit, room):
 def place_edges(model, setting, here, edges):
     """Edges of a stage's cells in velocity, the nearest of each row moved to where cylinders begin to be driven.
 
-    Any edges that do not fall are good ones. Each moves by at most `SNAP` of a cell's height.
+    Any edges that do not fall are good ones. Each moves by at most `SNAP` of a cell's height; those on the velocity
+    limits stay, or states between them and the limits would be in no cell.
 
     Args:
         model: Enclosures of the coefficients over rows, (rows, moving, COEFFICIENTS, 4).
@@ -205,6 +206,7 @@ def place_edges(model, setting, here, edges):
     """
     coefficients = np.empty((model.shape[1], COEFFICIENTS, 3))
     height = here[L_DW]
+    last = round(-2.0 * here[L_W] / height)
     moved = np.empty(edges.shape[1], np.bool_)
     for p in range(edges.shape[0]):
         for r in range(edges.shape[1]):
@@ -220,7 +222,8 @@ def place_edges(model, setting, here, edges):
                 if not -1.0 < share < edges.shape[1]:
                     continue
                 r = int(np.floor(share + 0.5))
-                if 0 <= r < edges.shape[1] and not moved[r] and abs(share - r) < SNAP:
+                inner = 0 <= r < edges.shape[1] and 0 < here[L_J] + r < last
+                if inner and not moved[r] and abs(share - r) < SNAP:
                     edges[p, r], moved[r] = w, True
 
 

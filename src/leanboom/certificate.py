@@ -31,6 +31,7 @@ ROUNDING = 1e-9  # share of the bound that covers the rounding of floating-point
 ENOUGH = 0.99  # share of the gap asked for by which energies are below the best known one where cells are dropped
 PROMISE = 0.5  # share of a level's gap that may be left with the same slopes on the next
 HOPELESS = 15.0  # gap [%] at which cells are so large that other slopes are not worth their time
+SLACK = 2e-3  # share of the energy that a motion may save by using limits to the judge's tolerance
 TRUST = 1e-6  # share of the energy by which a check along a motion may be off, rounding of many sums
 
 
@@ -203,6 +204,10 @@ def _bound(
             if not np.isfinite(found.lower) and not levels:
                 raise InfeasibleError("proven: no motion of the discretised problem keeps every limit")
             _check_along(found, best)
+            if not levels and found.lower > (1.0 + SLACK) * best.energy:
+                raise LeanboomError(
+                    "the bound is above the energy of the motion it is compared with; nothing is certified"
+                )
             lower = max(lower, min(found.lower, outside) * (1.0 - ROUNDING))
             gone = time.perf_counter() - began
             levels.append(Level(*size, kept.count, lower, _gap(best.energy, lower), gone))
