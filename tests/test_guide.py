@@ -178,6 +178,6 @@ def test_a_guide_is_asked_where_the_first_bound_does_not_do(monkeypatch, gap, gu
         return plain(kept, begin, clock, given, limit)
 
     monkeypatch.setattr(cells, "bound", watched)
-    proof = certify(load_task("forwarder-vertical", start="smallest"), "cp", step=0.1, gap=gap, seconds=20.0)
+    proof = certify(load_task("forwarder-vertical", start="middle"), "cp", step=0.1, gap=gap, seconds=40.0)
     assert any(given is not None for given in asked) == guided
     assert 0.0 < proof.lower_bound_j <= proof.energy_j
