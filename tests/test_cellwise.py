@@ -98,9 +98,10 @@ def unknown(kept: cells.Cells) -> cells.Bounds:
 @pytest.mark.parametrize("pump", ["cp", "ls"])
 def test_smaller_cells_hold_every_state_of_the_cells_kept(problem, rng, pump):
     kept = cells.whole(problem, pump, still(problem))
-    for columns in (slice(14, 26), [0, -1]):  # the second time at the sides of the windows
+    for columns, rows_too in ((slice(14, 26), True), ([0, -1], True), (slice(8, 20), False)):  # at the sides as well
         excess = chosen(kept, rng, columns)
-        finer = cells.refine(unknown(kept), excess)
+        finer = cells.refine(unknown(kept), excess, rows_too)
+        assert finer.positions == (2 if rows_too else 1) * kept.positions
         for k in range(problem.stages):
             for p, r in rng.permutation(np.argwhere(np.isfinite(excess[k])))[:60]:
                 slow, fast = kept.edges[k][p, r : r + 2]

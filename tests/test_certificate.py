@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -55,13 +56,13 @@ def test_bound_never_exceeds_the_brute_force_optimum(seed, pump):
     least, best = slow_bounds.least_energy(problem, pump, start, 25)
     assert best is not None
     kept, bound, told = cells.whole(problem, pump, best if seed % 3 else None), 0.0, 0
-    for _ in range(4):
+    for level in range(4):
         found = cells.bound(kept, start, quiet, limit=least * (1.0 + 1e-9))
         assert found.lower <= least * (1.0 + 1e-9)
         costs = incumbent.measure(problem, best, pump).costs
         assert cells.residuals(found, best, costs).min() >= -1e-9 * least
         bound = max(bound, found.lower)
-        refined = cells.refine(found, cells.reach(found, least * (1.0 + 1e-9), quiet))
+        refined = cells.refine(found, cells.reach(found, least * (1.0 + 1e-9), quiet), rows_too=level != seed % 3)
         if refined is None:
             break
         for k, taken in enumerate(np.cumsum(costs) - costs):
@@ -188,6 +189,9 @@ def test_bound_rises_with_refinement():
     proof = certify(task, "cp", step=0.25, seconds=20.0, gap=0.3)
     lower = [level.lower_bound_j for level in proof.levels]
     assert len(lower) > 1
+    for first, (before, after) in zip((True, False, False, False), pairwise(proof.levels), strict=False):
+        rows_too = not first or before.gap_percent > certificate.HOPELESS
+        assert (after.positions, after.velocities) == ((2 if rows_too else 1) * before.positions, 2 * before.velocities)
     assert lower == sorted(lower)
     assert proof.lower_bound_j == lower[-1] <= proof.energy_j
     assert proof.gap_percent == pytest.approx(100.0 * (1.0 - lower[-1] / proof.energy_j))

@@ -68,6 +68,16 @@ def test_the_ridge_is_the_least_value_of_every_line(rng):
         assert w == pytest.approx(tried[inside][twin.argmin()])
 
 
+def test_a_ridge_is_found_once_for_cells_of_any_size(loader, monkeypatch):
+    _, kept, known = loader
+    fresh, k, plain, found = replace(known), 12, guide.ridge, []
+    monkeypatch.setattr(guide, "ridge", lambda *given: (found.append(given[3]), plain(*given)))
+    first = fresh.slopes(kept, k)
+    assert found == [k + 1, k + 1]  # the tube's and the whole policy's
+    assert np.array_equal(fresh.slopes(kept, k), first)
+    assert len(found) == 2
+
+
 def given_values(known, k, values):
     """A guide of one policy with other values at a stage, a function of position above the lower end and velocity."""
     policy = known.policies[0]

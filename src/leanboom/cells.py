@@ -3,7 +3,7 @@
 A `Cells` is a set of boxes in position and velocity at every stage; outside it no motion is of interest. `bound`
 runs backward and finds, for each cell, a plane below the cost to go of every motion through it; `reach` runs
 forward and finds the excess over the bound with which a cell can be reached at all; `refine` keeps the cells
-whose excess is small enough and halves them in both directions. See `docs/certificate.md` for the proofs.
+whose excess is small enough and halves them. See `docs/certificate.md` for the proofs.
 """
 
 from __future__ import annotations
@@ -300,24 +300,31 @@ def reach(found: Bounds, limit: float, check: Callable[[float], None]) -> tuple[
     return tuple(excess)
 
 
-def refine(found: Bounds, excess: tuple[np.ndarray, ...]) -> Cells | None:
-    """The cells that can still be entered, halved in both directions; None where there are none."""
+def refine(found: Bounds, excess: tuple[np.ndarray, ...], rows_too: bool = True) -> Cells | None:
+    """The cells that can still be entered, halved in velocity; None where there are none.
+
+    Args:
+        found: The bounds over the cells.
+        excess: As `reach` finds it.
+        rows_too: Whether rows are halved as well.
+    """
     cells = found.cells
     n = cells.problem.stages
-    corner, counts, halved = np.zeros(n, dtype=int), np.zeros(n, dtype=int), []
+    corner, counts, finer_rows = np.zeros(n, dtype=int), np.zeros(n, dtype=int), []
+    cut = intervals.halved if rows_too else np.copy
     for k, reached in enumerate(excess):
         some = np.isfinite(reached)
         rows, columns = np.nonzero(some.any(axis=1))[0], np.nonzero(some.any(axis=0))[0]
         if rows.size == 0:
             return None
-        halved.append(intervals.halved(cells.rows[k][rows[0] : rows[-1] + 2]))
+        finer_rows.append(cut(cells.rows[k][rows[0] : rows[-1] + 2]))
         # Edges of both levels are moved, by less than half a cell each: a neighbour may take over a strip.
         origin = int(cells.lattice[k, L_J])
         first, last = max(origin + columns[0] - 1, 0), min(origin + columns[-1] + 1, int(cells.velocities[k]) - 1)
         corner[k], counts[k] = 2 * first, 2 * (last - first + 1)
-    halved.append(intervals.halved(cells.rows[n]))
-    size = 2 * cells.positions, 2 * cells.velocities
-    finer = _cut(cells.problem, cells.cost, *size, halved, counts, corner, cells.viable)
+    finer_rows.append(cut(cells.rows[n]))
+    size = (2 if rows_too else 1) * cells.positions, 2 * cells.velocities
+    finer = _cut(cells.problem, cells.cost, *size, finer_rows, counts, corner, cells.viable)
     for k, reached in enumerate(excess):
         cellwise.hand_down(
             cells.rows[k], cells.edges[k], cells.lattice[k], found.planes[k], found.lower + reached, finer.rows[k],

@@ -237,12 +237,13 @@ def hand_down(rows, edges, here, planes, through, finer_rows, finer_edges, finer
         rows, edges, here: Edges [m], [m/s], and lattice of a stage's cells, as in `place_edges`.
         planes: Their bounds of the cost to go, (rows, columns, 4).
         through: Least energy of motions through them [J], inf where they are dropped, (rows, columns).
-        finer_rows, finer_edges, finer: Edges and lattice of the finer cells: halves of some of the rows.
+        finer_rows, finer_edges, finer: Edges and lattice of the finer cells: some of the rows, or their halves.
         behind: Out: energy [J], inf where no cell that is kept shares a state, (finer rows, finer columns).
     """
-    first = int(np.searchsorted(rows, finer_rows[0]))
+    i = 0
     for p in range(behind.shape[0]):
-        i = first + p // 2
+        while rows[i + 1] < 0.5 * (finer_rows[p] + finer_rows[p + 1]):
+            i += 1
         c = 0.5 * (finer_rows[p] + finer_rows[p + 1] - rows[i] - rows[i + 1])
         half_c = 0.5 * (finer_rows[p + 1] - finer_rows[p])
         for r in range(behind.shape[1]):

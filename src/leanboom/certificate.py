@@ -30,7 +30,7 @@ from leanboom.task import Task
 ROUNDING = 1e-9  # share of the bound that covers the rounding of floating-point numbers
 ENOUGH = 0.99  # share of the gap asked for by which energies are below the best known one where cells are dropped
 PROMISE = 0.5  # share of a level's gap that may be left with the same slopes on the next
-HOPELESS = 15.0  # gap [%] at which cells are so large that other slopes are not worth their time
+HOPELESS = 15.0  # gap [%] at which cells are so large that nothing but smaller ones is worth its time
 SLACK = 2e-3  # share of the energy that a motion may save by using limits to the judge's tolerance
 TRUST = 1e-6  # share of the energy by which a check along a motion may be off, rounding of many sums
 
@@ -216,7 +216,9 @@ def _bound(
             excess, outside = cells.reach(found, enough, clock), min(enough, best.energy)
             if cells.memory(kept, excess) > 0.5 * dp.free_memory():
                 return tuple(levels), "smaller cells would not fit into the memory"
-            kept = cells.refine(found, excess)
+            # Where power has no jumps, halving the first rows gains next to nothing beside halving velocities.
+            rows_too = pump == "ls" or len(levels) > 1 or levels[-1].gap_percent > HOPELESS
+            kept = cells.refine(found, excess, rows_too)
         except cells.OutOfTime:
             return tuple(levels), "time is over"
     lower = outside * (1.0 - ROUNDING)  # no motion stays in the cells

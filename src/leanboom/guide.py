@@ -12,7 +12,7 @@ slopes come from here; whatever they are, the bounds stay proven.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
@@ -47,7 +47,7 @@ from leanboom.kernels import (
     within,
 )
 from leanboom.motion import Motion
-from leanboom.stages import Problem
+from leanboom.stages import Grid, Problem
 from leanboom.viability import Viable
 
 GRID = (801, 201)  # positions and velocities of a policy over everything feasible
@@ -59,11 +59,21 @@ THIN = 1e-6  # [m/s], least half height of a cell for differences over it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Ridge:
+    """What `ridge` finds at a stage of a policy; the same for cells of any size."""
+
+    line: np.ndarray  # [m]
+    least: np.ndarray  # [J]
+    next_w: np.ndarray  # [m/s]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Guide:
     """Values of policies, and which states are lost: beside those, penalties spoil the values."""
 
     policies: tuple[Policy, ...]  # ever finer and narrower; the first knows every feasible state
     viable: Viable
+    ridges: dict[tuple[int, int], Ridge] = field(default_factory=dict, init=False)  # as asked for: policy, stage
 
     def slopes(self, cells: Cells, k: int) -> np.ndarray:
         """Slopes for the planes of a stage's cells, from the finest policy that knows a cell.
@@ -79,23 +89,32 @@ class Guide:
         """
         found = np.zeros((*cells.active[k].shape, 2))
         if k < cells.problem.stages - 1:
-            for policy in self.policies:
-                known = _known(policy, cells, k)
-                active = np.where(known, cells.active[k], np.inf)
+            left = np.isfinite(cells.active[k])
+            for i in range(len(self.policies) - 1, -1, -1):
+                policy, known = self.policies[i], _known(self.policies[i], cells, k)
                 row, column = self._nearest(policy, cells, k, known)
-                values, stage, setting = policy.values[k + 1], policy.tables.stage, cells.setting
-                line = _lines(policy, cells, k + 1)
-                least, next_w = np.empty(line.size), np.empty(line.size)
-                ridge(values, stage, setting, k + 1, line, least, next_w)
+                ahead = self._ridge(i, k + 1, cells.setting)
                 follow(
-                    cells.model[k], cells.rows[k], cells.edges[k], cells.cylinder, values, stage, setting, k + 1, line,
-                    least, next_w, active, row, column, found,
+                    cells.model[k], cells.rows[k], cells.edges[k], cells.cylinder, policy.values[k + 1],
+                    policy.tables.stage, cells.setting, k + 1, ahead.line, ahead.least, ahead.next_w,
+                    np.where(known & left, 0.0, np.inf), row, column, found,
                 )  # fmt: skip
+                left &= ~known
         charge(
             cells.model[k], cells.rows[k], cells.edges[k], cells.cylinder, cells.setting, cells.fixed[k],
             cells.active[k], found,
         )  # fmt: skip
         return found
+
+    def _ridge(self, i: int, k: int, setting: np.ndarray) -> Ridge:
+        """The ridge of stage k of a policy."""
+        if (i, k) not in self.ridges:
+            policy = self.policies[i]
+            line = _lines(policy.grid, setting[STEP], k)
+            found = Ridge(line, np.empty(line.size), np.empty(line.size))
+            ridge(policy.values[k], policy.tables.stage, setting, k, line, found.least, found.next_w)
+            self.ridges[i, k] = found
+        return self.ridges[i, k]
 
     def _nearest(self, policy: Policy, cells: Cells, k: int, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """For every cell the nearest known one that keeps the margin: rows, (rows,), and columns, (rows, columns)."""
@@ -128,10 +147,9 @@ def _known(policy: Policy, cells: Cells, k: int) -> np.ndarray:
     return row[:, None] & (edges[:, :-1] >= low_w) & (edges[:, 1:] <= high_w)
 
 
-def _lines(policy: Policy, cells: Cells, k: int) -> np.ndarray:
-    """Equally spaced lines c - step w / 2 [m] that meet the nodes of a policy's stage."""
-    grid, half = policy.grid, 0.5 * cells.setting[STEP]
-    low, high = grid.c_lo[k] - half * grid.w_hi[k], grid.c_hi[k] - half * grid.w_lo[k]
+def _lines(grid: Grid, step: float, k: int) -> np.ndarray:
+    """Equally spaced lines c - step w / 2 [m] that meet the nodes of a grid's stage."""
+    low, high = grid.c_lo[k] - 0.5 * step * grid.w_hi[k], grid.c_hi[k] - 0.5 * step * grid.w_lo[k]
     return np.linspace(low, high, 2 * grid.positions)
 
 
