@@ -86,14 +86,13 @@ class OutOfTime(Exception):
     """The time given to a bound is over."""
 
 
-def whole(problem: Problem, cost: str, beside: Motion | None = None, viable: Viable | None = None) -> Cells:
+def whole(problem: Problem, cost: str, beside: Motion | None = None) -> Cells:
     """The first level: all feasible extensions and all velocities of every stage.
 
     Args:
         problem: The discretised task.
         cost: "ls" or "cp".
         beside: A motion near which rows are narrower.
-        viable: Viable velocities, where they are known.
     """
     limit = problem.crane.machine.redundant.velocity_limit
     positions = max(2, int(np.ceil(np.max(problem.upper - problem.lower) / intervals.POSITION)))
@@ -103,7 +102,7 @@ def whole(problem: Problem, cost: str, beside: Motion | None = None, viable: Via
     velocities = np.full(problem.stages, 2 * int(np.ceil(limit / VELOCITY)))
     if beside is not None:
         velocities[intervals.from_end(problem, slice(-1), beside.position[:-1]) < intervals.END] *= lower
-    return _cut(problem, cost, positions, velocities, rows, velocities, corner, viable)
+    return _cut(problem, cost, positions, velocities, rows, velocities, corner, None)
 
 
 def _cut(  # noqa: PLR0913

@@ -195,8 +195,8 @@ def _bound(
     if guide.memory(problem) < 0.5 * dp.free_memory():
         known = cache(lambda viable=kept.viable: guide.make(problem, pump, viable, best.motion).slopes)
         ways.append(_Way(known))
+    size = kept.positions, int(kept.velocities.min())
     while kept is not None:
-        size = kept.positions, int(kept.velocities.min())
         name = f"cells {size[0]}x{size[1]}, gap so far {_gap(best.energy, lower):.2f} %"
         clock = _clock(began, seconds, name, tell)
         try:
@@ -218,13 +218,13 @@ def _bound(
                 return tuple(levels), "smaller cells would not fit into the memory"
             # Where power has no jumps, halving the first rows gains next to nothing beside halving velocities.
             rows_too = pump == "ls" or len(levels) > 1 or levels[-1].gap_percent > HOPELESS
+            size = (2 if rows_too else 1) * size[0], 2 * size[1]
             kept = cells.refine(found, excess, rows_too)
         except cells.OutOfTime:
             return tuple(levels), "time is over"
     lower = outside * (1.0 - ROUNDING)  # no motion stays in the cells
     gone = time.perf_counter() - began
-    last = levels[-1]
-    levels.append(Level(2 * last.positions, 2 * last.velocities, 0, lower, _gap(best.energy, lower), gone))
+    levels.append(Level(*size, 0, lower, _gap(best.energy, lower), gone))
     return tuple(levels), "gap reached"
 
 
