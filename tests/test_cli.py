@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from leanboom import cli, dp, files, inspection, motion, objective, planner, runfolder
+from leanboom import cli, dp, files, inspection, motion, objective, planner, runfolder, terminal
 from leanboom.errors import InfeasibleError
 from leanboom.judge import evaluate
 
@@ -227,7 +227,7 @@ def test_a_slow_beginning_is_told_on_standard_error(monkeypatch, planned):
         return planned
 
     monkeypatch.setattr(planner, "run", run)
-    monkeypatch.setattr(cli, "PATIENCE", 0.05)
+    monkeypatch.setattr(terminal, "PATIENCE", 0.05)
     result = leanboom("plan", "forwarder-vertical", "--json")
     assert result.stderr == "leanboom: loading kernels\n"
     assert json.loads(result.stdout)["status"] == "solved"

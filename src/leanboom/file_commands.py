@@ -1,0 +1,74 @@
+"""The commands about machine and task files: `check`, `machines`, `tasks`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from leanboom.errors import LeanboomError
+from leanboom.terminal import Json, complain, print_json
+
+
+def check(
+    names: Annotated[
+        list[str], typer.Argument(metavar="FILE...", help="Machine or task files, or names of bundled ones.")
+    ],
+) -> None:
+    """Check machine and task files; say where their values come from."""
+    from leanboom import inspection, tables
+    from leanboom.machine import Machine
+
+    console = tables.output()
+    code = 0
+    for name in names:
+        try:
+            found = inspection.load(name)
+            tables.checked_machine(console, name, found) if isinstance(found, Machine) else tables.checked_task(
+                console, name, found
+            )
+        except LeanboomError as error:
+            complain(error)
+            code = max(code, error.exit_code)
+    if code:
+        raise typer.Exit(code)
+
+
+def machines(
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="A bundled machine or a machine file to show in detail.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """List the bundled machines, or show one in detail."""
+    from leanboom import files, tables
+
+    names = files.bundled_machines() if name is None else (name,)
+    found = [files.load_machine(each) for each in names]
+    if as_json:
+        rows = [tables.machine_facts(machine) for machine in found]
+        print_json(rows if name is None else rows[0])
+    elif name is None:
+        tables.machine_list(tables.output(), found)
+    else:
+        tables.machine_detail(tables.output(), found[0])
+
+
+def tasks(
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="A bundled task or a task file to show in detail.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """List the bundled tasks, or show one in detail."""
+    from leanboom import files, tables
+
+    names = files.bundled_tasks() if name is None else (name,)
+    found = [files.load_task(each) for each in names]
+    if as_json:
+        rows = [tables.task_facts(task) for task in found]
+        print_json(rows if name is None else rows[0])
+    elif name is None:
+        tables.task_list(tables.output(), found)
+    else:
+        tables.task_detail(tables.output(), found[0])

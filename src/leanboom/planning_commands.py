@@ -1,0 +1,180 @@
+"""The commands that plan one task: `plan`, `certify`, `simulate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from leanboom.errors import InfeasibleError, InputError
+from leanboom.terminal import Json, Progress, complain, duration, print_json, settings
+
+
+def plan(
+    task: Annotated[str, typer.Argument(metavar="TASK", help="A bundled task (see: leanboom tasks) or a task file.")],
+    pump: Annotated[
+        Literal["ls", "cp"], typer.Option(help="Whose energy counts: load-sensing or constant-pressure pump.")
+    ] = "ls",
+    cost: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="What to minimise, if not the pump's energy: ls, cp, actuator, velocity, extension, recuperation.",
+        ),
+    ] = None,
+    method: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="dp (the planner), polish, pseudospectral, shooting, dp-paper, dp1, sns-joint, sns-actuator, "
+            "sns-actuator-weighted.",
+        ),
+    ] = "dp",
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WHERE",
+            help="Where the extension starts: smallest, middle, best, or a length such as '0.45 m'. "
+            "By default what the task says.",
+        ),
+    ] = None,
+    grid: Annotated[
+        str, typer.Option(metavar="PxV", help="Positions and velocities of the extension on the coarse grid.")
+    ] = "141x71",
+    step: Annotated[str, typer.Option(metavar="TIME", help="Length of a stage, in seconds.")] = "0.05",
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Write a run folder: report, trajectory, task, machine and summary."),
+    ] = None,
+    certified: Annotated[
+        bool,
+        typer.Option("--certify", help="Prove how far from the optimum the plan can be (a minute; see certify)."),
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Plan the motion that takes the least pump energy."""
+    nodes, seconds = settings(grid, step)
+    from leanboom import files, runfolder
+
+    if out is not None:
+        runfolder.check(out)
+    asked = files.load_task(task, start=start)
+    from leanboom import planner
+
+    with Progress() as tell:
+        result = planner.run(asked, pump=pump, cost=cost, method=method, grid=nodes, step=seconds, progress=tell)
+        if out is not None:
+            tell("writing the run folder", 1.0)
+            runfolder.write(result, out, nodes)
+        proof = None
+        if certified and result.evaluation.feasible:
+            from leanboom import certificate
+
+            proof = certificate.certify(asked, pump, motion=result.motion, step=seconds, progress=tell)
+    if as_json:
+        print_json(runfolder.summary(result, out) | ({} if proof is None else proof.json()))
+    else:
+        from leanboom import tables
+
+        source = asked.machine.name if task in files.bundled_tasks() else task
+        tables.plan(tables.output(), result, out, source)
+        if proof is not None:
+            from leanboom import proofs
+
+            proofs.certificate(tables.output(), proof)
+    if not result.evaluation.feasible:
+        complain(result.evaluation.status)
+        raise typer.Exit(1)
+
+
+def certify(
+    task: Annotated[str, typer.Argument(metavar="TASK", help="A bundled task (see: leanboom tasks) or a task file.")],
+    pump: Annotated[
+        Literal["ls", "cp"], typer.Option(help="Whose energy counts: load-sensing or constant-pressure pump.")
+    ] = "ls",
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WHERE",
+            help="Where the extension starts: smallest, middle, best, or a length such as '0.45 m'. "
+            "By default what the task says.",
+        ),
+    ] = None,
+    step: Annotated[str, typer.Option(metavar="TIME", help="Length of a stage, in seconds.")] = "0.05",
+    seconds: Annotated[str, typer.Option(metavar="TIME", help="Time for bounding; planning comes on top.")] = "60 s",
+    gap: Annotated[float, typer.Option(metavar="PERCENT", help="Gap at which bounding ends.")] = 0.5,
+    as_json: Json = False,
+) -> None:
+    """Plan a task and prove how far from the optimum the plan can be."""
+    _, stage = settings("141x71", step)
+    from leanboom import certificate, files, planner, runfolder
+
+    limit = duration("seconds", seconds)
+    certificate.check(pump, stage, limit, gap)
+    asked = files.load_task(task, start=start)
+    with Progress() as tell:
+        result = planner.run(asked, pump=pump, step=stage, baseline=False, progress=tell)
+        if not result.evaluation.feasible:
+            raise InfeasibleError(result.evaluation.status)
+        proof = certificate.certify(
+            asked, pump, motion=result.motion, step=stage, seconds=limit, gap=gap, progress=tell
+        )
+    if as_json:
+        print_json(runfolder.summary(result) | proof.json())
+    else:
+        from leanboom import proofs, tables
+
+        proofs.certificate(tables.output(), proof)
+
+
+def simulate(
+    task: Annotated[
+        str, typer.Argument(metavar="TASK|RUN", help="A bundled task, a task file, or the run folder of a plan.")
+    ],
+    pump: Annotated[
+        str | None, typer.Option(help="ls or cp. By default that of the run folder; of a task, ls.")
+    ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="How a task is planned first: a method of `leanboom plan`; by default dp."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Write a run folder with the simulation. By default a RUN gets it added."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Drive a plan in closed loop: pump, valves, oil and controller."""
+    from leanboom import files, planner, runfolder, simulation, simulation_page
+
+    if pump not in (None, *simulation.PUMPS):
+        raise InputError(f"pump = {pump}; must be one of {', '.join(simulation.PUMPS)}")
+    run = Path(task) if task not in files.bundled_tasks() and Path(task).is_dir() else None
+    if run is not None and method is not None:
+        raise InputError(f"method = {method}; the run folder {task} is planned already: leave --method out")
+    if out is not None:
+        runfolder.check(out)
+    with Progress() as tell:
+        if run is None:
+            asked = files.load_task(task)
+            plan = planner.run(asked, pump=pump or "ls", method=method or "dp", progress=tell)
+            result = simulation.simulate(asked, plan.motion, plan.pump, progress=tell)
+            if out is not None:
+                tell("writing the run folder", 1.0)
+                runfolder.write(plan, out, simulation=result)
+        else:
+            asked, motion, planned_for = runfolder.read(run)
+            result = simulation.simulate(asked, motion, pump or planned_for, progress=tell)
+            out = out or run
+            tell("writing the run folder", 1.0)
+            runfolder.add(run, out, result)
+    if as_json:
+        print_json(simulation_page.summary(result, out))
+    else:
+        from leanboom import tables
+
+        tables.simulation(tables.output(), result, out)
+    if not result.complete:
+        complain(result.status)
+        raise typer.Exit(1)

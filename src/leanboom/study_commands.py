@@ -1,0 +1,101 @@
+"""The commands that plan much at once: `compare` the methods on a task, `reproduce` the papers' experiments."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from leanboom.terminal import Json, Progress, complain, listed, print_json
+
+
+def compare(
+    task: Annotated[str, typer.Argument(metavar="TASK", help="A bundled task (see: leanboom tasks) or a task file.")],
+    pump: Annotated[str, typer.Option(metavar="NAMES", help="Whose energy counts: ls, cp or ls,cp.")] = "ls,cp",
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WHERE",
+            help="Where the extension starts, one or more: smallest, middle, best, or lengths such as '0.45 m'. "
+            "By default what the task says.",
+        ),
+    ] = None,
+    methods: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Some of dp, polish, pseudospectral, shooting, dp1, dp-paper, sns-joint, sns-actuator, "
+            "sns-actuator-weighted; dp:cp is dp with that minimised cost alone. By default all but dp-paper, which "
+            "takes minutes.",
+        ),
+    ] = None,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="Also drive every motion in closed loop, for a column of its own.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Write the rows, a bar chart and the motions laid over each other."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Compare the methods of the papers on a task."""
+    from leanboom import comparison, files, results
+
+    pumps = listed(pump)
+    chosen = None if methods is None else listed(methods)
+    comparison.entries(chosen, pumps)
+    if out is not None:
+        results.check(out)
+    asked = files.load_task(task)
+    starts = None if start is None else [files.load_task(task, start=each).start for each in listed(start)]
+    with Progress(steps=True) as tell:
+        result = comparison.compare(asked, pumps, start=starts, methods=chosen, simulate=simulate, progress=tell)
+        if out is not None:
+            tell("drawing", 1.0)
+            results.write_comparison(result, out)
+    if as_json:
+        print_json(result.json())
+    else:
+        from leanboom import tables
+
+        tables.comparison(tables.output(), result, out)
+    if not any(row.feasible for row in result.rows):
+        complain("no method found a feasible motion")
+        raise typer.Exit(1)
+
+
+def reproduce(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME...]",
+            help="all, or some of table2, table3, fig8, fig10, sizing, horizontal, vertical, half-cycle, tracking, "
+            "sensitivity.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path,
+        typer.Option(metavar="DIR", help="Where solutions are kept: an interrupted run goes on from there."),
+    ] = Path("leanboom-reproduce"),
+    docs: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write the page of results and its figures there, not to --out.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Solve the papers' experiments again; print our values beside the printed ones."""
+    from leanboom import reproduction, results
+
+    wanted = reproduction.names(names or [])
+    with Progress(steps=True) as tell:
+        result = reproduction.reproduce(wanted, out, progress=tell)
+        tell("writing the page", 1.0)
+        page = results.write_page(result, out if docs is None else docs)
+    if as_json:
+        print_json(result.json())
+    else:
+        from leanboom import tables
+
+        titles = {name: experiment.title for name, experiment in reproduction.EXPERIMENTS.items()}
+        tables.reproduction(tables.output(), result, titles)
+        typer.echo(f"Page and figures: {page}")

@@ -1,0 +1,110 @@
+"""What all commands share: options read, progress, messages and JSON written."""
+
+from __future__ import annotations
+
+import re
+import sys
+from typing import Annotated, Any
+
+import typer
+
+from leanboom.errors import InputError, LeanboomError
+
+PATIENCE = 1.0  # [s], a command that takes longer says what it does
+
+Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
+
+_GRID = re.compile(r"(\d{1,6})[xX](\d{1,6})")
+
+
+def settings(grid: str, step: str) -> tuple[tuple[int, int], float]:
+    """The grid nodes and stage length [s] as given on the command line."""
+    problems = []
+    nodes = _GRID.fullmatch(grid.strip())
+    if nodes is None:
+        problems.append(f"grid = {grid}; must be positions x velocities, such as 201x101")
+    try:
+        seconds = duration("step", step)
+    except InputError as error:
+        seconds = 0.0
+        problems.append(str(error))
+    if nodes is None or problems:
+        raise InputError("\n".join(problems))
+    return (int(nodes[1]), int(nodes[2])), seconds
+
+
+def duration(name: str, text: str) -> float:
+    """A time above 0 [s] as given on the command line."""
+    from leanboom.units import KINDS, parse
+
+    seconds = parse(text, KINDS["time"])
+    if seconds is None or seconds <= 0.0:
+        raise InputError(f"{name} = {text}; must be a time above 0, such as 0.05 or '50 ms'")
+    return seconds
+
+
+def listed(text: str) -> list[str]:
+    """The parts of a list with commas."""
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def print_json(value: Any) -> None:
+    """One value as JSON on standard output."""
+    import json
+
+    typer.echo(json.dumps(value, indent=2, allow_nan=False))
+
+
+def complain(error: LeanboomError | str) -> None:
+    """One message on standard error, without control characters of file names."""
+    text = "".join(c if c.isprintable() or c == "\n" else "?" for c in str(error))
+    typer.echo(f"leanboom: {text}", err=True)
+
+
+class Progress:
+    """What a command does at the moment, on standard error.
+
+    A terminal gets a bar. Elsewhere one line tells of a beginning that takes long, such as the first compilation, or
+    each step has a line.
+    """
+
+    def __init__(self, steps: bool = False) -> None:
+        self._steps = steps
+        self._bar: Any = None
+        self._timer: Any = None
+
+    def __enter__(self) -> Progress:
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+            columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+            self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
+            self._bar.start()
+            self._task = self._bar.add_task("starting", total=1.0)
+        return self
+
+    def __call__(self, text: str, fraction: float) -> None:
+        """Show what happens and the share done."""
+        if self._bar is not None:
+            self._bar.update(self._task, description=text, completed=fraction)
+            return
+        self._quiet()
+        if self._steps:
+            typer.echo(f"leanboom: {text}", err=True)
+        elif fraction == 0.0:
+            from threading import Timer
+
+            self._timer = Timer(PATIENCE, typer.echo, (f"leanboom: {text}",), {"err": True})
+            self._timer.daemon = True
+            self._timer.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._quiet()
+        if self._bar is not None:
+            self._bar.stop()
+
+    def _quiet(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
