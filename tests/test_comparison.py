@@ -12,7 +12,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import leanboom as lb
-from leanboom import cli, comparison, figures, jobs, motion, planner, runfolder, tables
+from leanboom import cli, comparison, figures, jobs, motion, outcomes, planner, runfolder
 from leanboom.comparison import Entry
 from leanboom.errors import InputError, LeanboomError
 from leanboom.experiments import EXPERIMENTS
@@ -221,7 +221,9 @@ def test_a_simulated_comparison_has_the_closed_loops_energy_beside_the_plans(mon
         assert found[pump]["simulated_path_accuracy_m"] == run.path_accuracy
     row = comparison.Row(Entry("sns-joint", "joint-velocity"), "ls", "smallest", found["ls"], made)
     text = io.StringIO()
-    tables.comparison(Console(file=text, width=160), comparison.Comparison(task, ("ls",), ("smallest",), (row,)), None)
+    outcomes.comparison(
+        Console(file=text, width=160), comparison.Comparison(task, ("ls",), ("smallest",), (row,)), None
+    )
     assert "simulated" in text.getvalue() and f"{row.simulated / 1e3:.2f}" in text.getvalue()
 
 

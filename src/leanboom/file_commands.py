@@ -17,9 +17,10 @@ def check(
 ) -> None:
     """Check machine and task files; say where their values come from."""
     from leanboom import inspection, tables
+    from leanboom.console import output
     from leanboom.machine import Machine
 
-    console = tables.output()
+    console = output()
     code = 0
     for name in names:
         try:
@@ -42,6 +43,7 @@ def machines(
 ) -> None:
     """List the bundled machines, or show one in detail."""
     from leanboom import files, tables
+    from leanboom.console import output
 
     names = files.bundled_machines() if name is None else (name,)
     found = [files.load_machine(each) for each in names]
@@ -49,9 +51,9 @@ def machines(
         rows = [tables.machine_facts(machine) for machine in found]
         print_json(rows if name is None else rows[0])
     elif name is None:
-        tables.machine_list(tables.output(), found)
+        tables.machine_list(output(), found)
     else:
-        tables.machine_detail(tables.output(), found[0])
+        tables.machine_detail(output(), found[0])
 
 
 def tasks(
@@ -62,6 +64,7 @@ def tasks(
 ) -> None:
     """List the bundled tasks, or show one in detail."""
     from leanboom import files, tables
+    from leanboom.console import output
 
     names = files.bundled_tasks() if name is None else (name,)
     found = [files.load_task(each) for each in names]
@@ -69,6 +72,6 @@ def tasks(
         rows = [tables.task_facts(task) for task in found]
         print_json(rows if name is None else rows[0])
     elif name is None:
-        tables.task_list(tables.output(), found)
+        tables.task_list(output(), found)
     else:
-        tables.task_detail(tables.output(), found[0])
+        tables.task_detail(output(), found[0])

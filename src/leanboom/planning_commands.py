@@ -75,14 +75,15 @@ def plan(
     if as_json:
         print_json(runfolder.summary(result, out) | ({} if proof is None else proof.json()))
     else:
-        from leanboom import tables
+        from leanboom import outcomes
+        from leanboom.console import output
 
         source = asked.machine.name if task in files.bundled_tasks() else task
-        tables.plan(tables.output(), result, out, source)
+        outcomes.plan(output(), result, out, source)
         if proof is not None:
             from leanboom import proofs
 
-            proofs.certificate(tables.output(), proof)
+            proofs.certificate(output(), proof)
     if not result.evaluation.feasible:
         complain(result.evaluation.status)
         raise typer.Exit(1)
@@ -123,9 +124,10 @@ def certify(
     if as_json:
         print_json(runfolder.summary(result) | proof.json())
     else:
-        from leanboom import proofs, tables
+        from leanboom import proofs
+        from leanboom.console import output
 
-        proofs.certificate(tables.output(), proof)
+        proofs.certificate(output(), proof)
 
 
 def simulate(
@@ -172,9 +174,10 @@ def simulate(
     if as_json:
         print_json(simulation_page.summary(result, out))
     else:
-        from leanboom import tables
+        from leanboom import outcomes
+        from leanboom.console import output
 
-        tables.simulation(tables.output(), result, out)
+        outcomes.simulation(output(), result, out)
     if not result.complete:
         complain(result.status)
         raise typer.Exit(1)

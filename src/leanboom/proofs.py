@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from leanboom import tables
+from leanboom.console import PUMPS
 from leanboom.source import shortened
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def certificate(console: Console, proof: Certificate) -> None:
             f"{level.positions} x {level.velocities}", f"{level.cells}", f"{level.lower_bound_j / 1e3:.3f}",
             f"{level.gap_percent:.2f}", f"{level.seconds:.1f}",
         )  # fmt: skip
-    console.print(f"{shortened(proof.task.name, 80)}, {tables.PUMPS[proof.pump]}: what is proven", markup=False)
+    console.print(f"{shortened(proof.task.name, 80)}, {PUMPS[proof.pump]}: what is proven", markup=False)
     console.print(table)
     for label, text in (
         ("Best known motion", f"{proof.energy_j / 1e3:.3f} kJ over stages of {proof.step:g} s"),

@@ -57,9 +57,10 @@ def compare(
     if as_json:
         print_json(result.json())
     else:
-        from leanboom import tables
+        from leanboom import outcomes
+        from leanboom.console import output
 
-        tables.comparison(tables.output(), result, out)
+        outcomes.comparison(output(), result, out)
     if not any(row.feasible for row in result.rows):
         complain("no method found a feasible motion")
         raise typer.Exit(1)
@@ -94,8 +95,9 @@ def reproduce(
     if as_json:
         print_json(result.json())
     else:
-        from leanboom import tables
+        from leanboom import outcomes
+        from leanboom.console import output
 
         titles = {name: experiment.title for name, experiment in reproduction.EXPERIMENTS.items()}
-        tables.reproduction(tables.output(), result, titles)
+        outcomes.reproduction(output(), result, titles)
         typer.echo(f"Page and figures: {page}")

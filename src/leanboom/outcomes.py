@@ -1,0 +1,209 @@
+"""What the commands that plan, simulate, compare and reproduce print for people; units in every heading."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from leanboom import inspection
+from leanboom.console import PUMPS, add_row, length, new_table, say
+from leanboom.source import shortened
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from leanboom.comparison import Comparison, Row
+    from leanboom.experiments import Line
+    from leanboom.judge import Evaluation
+    from leanboom.planner import Plan
+    from leanboom.reproduction import Reproduction
+    from leanboom.simulation import Simulation
+
+EVENTS_SHOWN = 12
+
+
+def plan(console: Console, result: Plan, out: Path | None, source: str) -> None:
+    """A plan beside its baseline.
+
+    Args:
+        console: Where to print.
+        result: The plan.
+        out: Its run folder, if it has one.
+        source: Name that `leanboom check` takes to show the machine's values.
+    """
+    task, motion, judged = result.task, result.motion, result.evaluation
+    name = shortened(task.name, 80)
+    say(console, f"{name}: {shortened(task.machine.name, 80)}, {PUMPS[result.pump]}, {task.duration:g} s", "bold")
+    console.print()
+    _energies(console, result)
+    console.print()
+    for label, text in _facts(result):
+        say(console, f"{label:<22}{text}")
+    if judged.feasible:
+        say(console, f"{'Limits':<22}all kept")
+    for violation in judged.violations:
+        say(console, f"{'Violated':<22}{shortened(violation, 400)}", "red")
+    for note in judged.notes:
+        say(console, f"{'Note':<22}{note}", "yellow")
+    if motion.cost != result.pump:
+        say(console, f"{'Note':<22}minimised {motion.cost}, not the energy of the {PUMPS[result.pump]}", "yellow")
+    if out is not None:
+        say(console, f"{'Report':<22}{shortened(str(out / 'report.html'), 400)}")
+    console.print()
+    say(console, f"{inspection.assumed(task.machine)} (leanboom check {shlex.quote(source)}).")
+
+
+def _energies(console: Console, result: Plan) -> None:
+    judged, other = result.evaluation, result.baseline
+    table = new_table("Pump energy", "plan\nkJ", "pseudo-inverse\nkJ", "saving", numbers=3)
+    for pump, heading in PUMPS.items():
+        mine, theirs = judged.energy(pump), other.energy(pump) if other is not None else None
+        cells = [f"{mine / 1e3:.2f}"]
+        cells += ["-", "-"] if theirs is None else [f"{theirs / 1e3:.2f}", _saving(mine, theirs)]
+        add_row(table, f"{heading}{' (chosen)' if pump == result.pump else ''}", *cells)
+    console.print(table)
+    if other is None:
+        say(console, "The pseudo-inverse, today's method, cannot follow this path.")
+    elif not other.feasible:
+        say(console, f"The pseudo-inverse breaks a limit: {shortened(other.status, 300)}.")
+
+
+def _saving(mine: float, theirs: float) -> str:
+    return f"{100.0 * (1.0 - mine / theirs):.1f} %" if theirs > 0.0 else "-"
+
+
+def _facts(result: Plan) -> list[tuple[str, str]]:
+    """What was found and how, labelled."""
+    motion, judged = result.motion, result.evaluation
+    return [
+        ("Method", f"{motion.method}, minimising {motion.cost}"),
+        ("Start", f"{length(motion.position[0])} of the extension cylinder"),
+        ("Largest use of limits", _use(judged)),
+        ("Tool path error", f"{judged.path_error * 1e3:.3f} mm"),
+        ("Solved in", f"{motion.solve_s:.2f} s, {result.peak_memory_bytes / 2**20:.0f} MiB at most"),
+    ]
+
+
+def _use(judged: Evaluation) -> str:
+    use = judged.limit_use
+    return (
+        f"position {100 * use.position:.1f} %, velocity {100 * use.velocity:.1f} %, "
+        f"acceleration {100 * use.acceleration:.1f} %"
+    )
+
+
+def simulation(console: Console, run: Simulation, out: Path | None) -> None:
+    """A simulated run beside its plan.
+
+    Args:
+        console: Where to print.
+        run: The run.
+        out: Its folder, if it has one.
+    """
+    name = shortened(run.task.name, 80)
+    say(console, f"{name}: {shortened(run.task.machine.name, 80)}, {PUMPS[run.pump]}, closed loop", "bold")
+    console.print()
+    change = f"{100.0 * (run.energy / run.planned_energy - 1.0):+.1f} %" if run.planned_energy > 0.0 else "-"
+    errors = ", ".join(
+        f"{joint} {error:.4f} {'m' if joint == 'extension' else 'rad'}"
+        for joint, error in zip(run.task.machine.names, run.joint_error, strict=True)
+    )
+    facts = (
+        ("Energy", f"{run.energy / 1e3:.2f} kJ simulated, {run.planned_energy / 1e3:.2f} kJ planned ({change})"),
+        ("Method", f"{run.motion.method}, minimising {run.motion.cost}"),
+        ("Path accuracy", f"{run.path_accuracy:.3f} m (ISO 9283)"),
+        ("Largest joint errors", errors),
+        ("Energy balance", f"{100.0 * run.balance_error:.4f} % not found again"),
+        ("Simulated in", f"{run.wall_s:.2f} s, {run.realtime_factor:.0f} times faster than real time"),
+    )
+    for label, text in facts:
+        say(console, f"{label:<22}{text}")
+    if not run.planned.feasible:
+        say(console, f"{'Note':<22}the plan breaks a limit: {shortened(run.planned.status, 300)}", "yellow")
+    for event in run.events[:EVENTS_SHOWN]:
+        say(
+            console,
+            f"{'Event':<22}{event.time:.2f} s, for {event.duration:.2f} s: {shortened(event.text, 300)}",
+            "yellow",
+        )
+    if len(run.events) > EVENTS_SHOWN:
+        say(console, f"{'':<22}and {len(run.events) - EVENTS_SHOWN} more events", "yellow")
+    if out is not None:
+        say(console, f"{'Report':<22}{shortened(str(out / 'simulation.html'), 400)}")
+
+
+def comparison(console: Console, result: Comparison, out: Path | None) -> None:
+    """The rows of a comparison, sorted, a table a start and pump.
+
+    Args:
+        console: Where to print.
+        result: The comparison.
+        out: Its folder, if it has one.
+    """
+    task = result.task
+    name = shortened(task.name, 80)
+    for start in result.starts:
+        for pump in result.pumps:
+            where = start if isinstance(start, str) else length(start)
+            say(console, f"{name}: {PUMPS[pump]}, {where} start, {task.duration:g} s", "bold")
+            console.print()
+            best = result.best(pump, start)
+            more = ("simulated\nkJ",) if any(row.simulated is not None for row in result.rows) else ()
+            table = new_table(
+                "Method (minimised cost)", "energy\nkJ", "relative", *more, "solved\ns", "", numbers=4 + len(more)
+            )
+            table.columns[-1].justify = "left"
+            table.columns[-1].no_wrap = False
+            for row in result.block(pump, start):
+                add_row(table, *_compared(row, best, bool(more)))
+            console.print(table)
+            if best is None:
+                say(console, "No method found a motion that keeps every limit.", "red")
+            console.print()
+    if out is not None:
+        say(console, f"{'Rows and figures':<22}{shortened(str(out), 400)}")
+    say(console, f"{inspection.assumed(task.machine)}.")
+
+
+def _compared(row: Row, best: Row | None, simulated: bool) -> list[str]:
+    """The cells of a comparison's row."""
+    energy, least = row.energy, None if best is None else best.energy
+    seconds = row.summary["solve_s"]
+    driven = "-" if row.simulated is None else f"{row.simulated / 1e3:.2f}"
+    return [
+        row.label,
+        "-" if energy is None else f"{energy / 1e3:.2f}",
+        "-" if energy is None or not least else f"{energy / least:.3f}",
+        *([driven] if simulated else []),
+        "-" if seconds is None else f"{seconds:.1f}",
+        "best" if row is best else "" if row.feasible else row.status,
+    ]
+
+
+def reproduction(console: Console, result: Reproduction, titles: dict[str, str]) -> None:
+    """Our values beside the printed ones, a table an experiment.
+
+    Args:
+        console: Where to print.
+        result: The reproduction.
+        titles: Of the experiments.
+    """
+    for name in result.records:
+        say(console, titles[name], "bold")
+        console.print()
+        table = new_table(name, "printed", "ours", "difference", "why", numbers=4)
+        table.columns[-1].justify = "left"
+        table.columns[-1].no_wrap = False
+        for line in result.lines:
+            if line.experiment == name:
+                add_row(table, *_beside(line))
+        console.print(table)
+        console.print()
+
+
+def _beside(line: Line) -> list[str]:
+    """The cells of a reproduced line."""
+    difference = "" if line.difference is None else f"{line.difference:+.3f}"
+    printed = "" if line.printed is None else f"{line.printed:.3f}"
+    return [line.row, printed, "-" if line.ours is None else f"{line.ours:.3f}", difference, line.why]
