@@ -30,11 +30,35 @@ CYLINDER_KEYS = (
 BAD_MACHINES = {
     "wrong unit": (
         [("boom: 3.504 m", "boom: 3.504 kg")],
-        ["14: geometry.boom = 3.504 kg; must be a finite length, such as 610 mm"],
+        ["14: geometry.boom = 3.504 kg; must be a finite length in mm, cm, m, such as 610 mm"],
     ),
     "unknown unit": (
         [("325 l/min", "325 gal/min")],
-        ["125: pump.max_flow = 325 gal/min; must be a finite flow, such as 325 l/min"],
+        [
+            "125: pump.max_flow = 325 gal/min; must be a finite flow in l/min, l/s, cm^3/s, m^3/h, m^3/s, such as "
+            "325 l/min; gal is not a unit here"
+        ],
+    ),
+    "a unit in other case": (
+        [("21.5 MPa", "215 Bar")],
+        [
+            "124: pump.max_pressure = 215 Bar; must be a finite pressure in Pa, kPa, MPa, mbar, bar, such as "
+            "21.5 MPa; Bar is not a unit here, did you mean bar?"
+        ],
+    ),
+    "a decimal comma": (
+        [("boom: 3.504 m", "boom: 3,504 m")],
+        [
+            "14: geometry.boom = 3,504 m; must be a finite length, such as 610 mm; numbers are written with 0-9 and a "
+            "decimal point"
+        ],
+    ),
+    "digits of another script": (
+        [("mass: 480 kg", "mass: ٤٨٠ kg")],
+        [
+            "100: bodies.column.mass = ٤٨٠ kg; must be a finite mass, such as 370 kg; numbers are written with 0-9 and "
+            "a decimal point"
+        ],
     ),
     "nan": (
         [("mass: 480 kg", "mass: .nan")],
@@ -231,7 +255,7 @@ BAD_MACHINES = {
             ("efficiency: 1 ", "efficency: 1 "),
         ],
         [
-            "14: geometry.boom = 3.504 kg; must be a finite length, such as 610 mm",
+            "14: geometry.boom = 3.504 kg; must be a finite length in mm, cm, m, such as 610 mm",
             "44: cylinders.lift.bore = -90 mm; must be above 0",
             "62: cylinders.tilt.rod = 160 mm; must be below bore = 115 mm",
             "85: cylinders.extension.stroke = 1.5 m; must be 1.8500 m within 2 %, the change of the cylinder's length "
@@ -417,7 +441,7 @@ def test_problems_of_a_task_and_of_its_machine_come_together(tmp_path):
     written(tmp_path, FORWARDER.replace("mass: 480 kg", "mass: 0 kg"), "mine.yaml")
     edits = [("machine: forwarder", "machine: mine.yaml"), ("payload: 0 kg", "payload: 5 m")]
     assert problems(load_task, written(tmp_path, edited(HALF_CYCLE, edits))) == [
-        "bad.yaml:4: payload = 5 m; must be a finite mass, such as 370 kg",
+        "bad.yaml:4: payload = 5 m; must be a finite mass in g, kg, t, such as 370 kg",
         "mine.yaml:100: bodies.column.mass = 0 kg; must be above 0",
     ]
 
@@ -496,4 +520,4 @@ def test_problems_of_the_simulation_are_named(tmp_path):
     text = text.replace("dead_zone: 53 %", "dead_zone: 95 %").replace("dead_volume: 1 l", "dead_volume: 1 m")
     found = " ".join(problems(load_machine, written(tmp_path, text)))
     assert "simulation.dead_zone = 95 %; must be from 0 to 0.9" in found
-    assert "simulation.dead_volume = 1 m; must be a finite volume, such as 1.5 l" in found
+    assert "simulation.dead_volume = 1 m; must be a finite volume in cm^3, l, m^3, such as 1.5 l" in found

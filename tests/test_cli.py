@@ -152,6 +152,21 @@ BAD = {
         ("forwarder-vertical", "--step", "5 mm"),
         "leanboom: step = 5 mm; must be a time above 0, such as 0.05 or '50 ms'\n",
     ),
+    "no unit": (
+        ("forwarder-vertical", "--step", "50 ticks"),
+        "leanboom: step = 50 ticks; must be a time above 0, such as 0.05 or '50 ms'; ticks is not a unit here\n",
+    ),
+    "digits of another script": (
+        ("forwarder-vertical", "--grid", "٤١x２１", "--step", "٠.١", "--start", "٠.٥ m"),
+        "leanboom: grid = ٤١x２１; must be positions x velocities, such as 201x101\n"
+        "step = ٠.١; must be a time above 0, such as 0.05 or '50 ms'; numbers are written with 0-9 and a decimal "
+        "point\n",
+    ),
+    "start in feet": (
+        ("forwarder-vertical", "--start", "2 ft"),
+        "leanboom: start = 2 ft; must be smallest, middle, best, or a length of the redundant cylinder such as "
+        "0.3 m; ft is not a unit here\n",
+    ),
     "start": (
         ("forwarder-vertical", "--start", "largest"),
         "leanboom: start = largest; must be smallest, middle, best, or a length of the redundant cylinder such as "
@@ -166,6 +181,14 @@ def test_plan_refuses_bad_input(calls, arguments, message):
     assert result.exit_code == 2
     assert result.stdout == ""
     assert result.stderr == message
+    assert calls == []
+
+
+@pytest.mark.parametrize("gap", ["٥", "half", "0.5 m", "1_0"])
+def test_certify_refuses_a_gap_that_is_no_number_of_per_cent(calls, gap):
+    result = leanboom("certify", "forwarder-vertical", "--gap", gap)
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"leanboom: gap = {gap}; must be a number of per cent, such as 0.5")
     assert calls == []
 
 

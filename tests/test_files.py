@@ -26,7 +26,7 @@ from leanboom.linkages import cylinder
 from leanboom.machine import METERING, Connection, MobileValve, Polynomial
 from leanboom.source import parse
 from leanboom.task import Lines, Spline, sample
-from leanboom.units import KINDS, write
+from leanboom.units import KINDS, slip, write
 from leanboom.units import parse as quantity
 
 
@@ -203,8 +203,9 @@ def test_a_bare_number_is_si_and_quantities_round_once(tmp_path):
 
 @pytest.mark.parametrize(
     "text",
-    ["1 km/h", "0.1 rad", "1 m^2", "one m", "1 m m", "1,5 m", "0x10", "1_0", "", "m", "1e999", "1 m^9^9^9", "1e16"],
-)
+    ["1 km/h", "0.1 rad", "1 m^2", "one m", "1 m m", "1,5 m", "0x10", "1_0", "", "m", "1e999", "1 m^9^9^9", "1e16",
+     "٦ m", "６１０ mm", "६ m", "6 m^２", "1e٣ m", "−5 m"],
+)  # fmt: skip
 def test_these_are_no_lengths(text):
     assert quantity(text, KINDS["length"]) is None
 
@@ -214,6 +215,44 @@ def test_written_quantities_read_back_equal(kind, rng):
     values = [0.0, 1.0, 1 / 3, -1e-9, 2e14, *rng.normal(size=20)]
     assert [quantity(write(value, kind), kind) for value in values] == values
     assert quantity(kind.example, kind) is not None
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+def test_every_unit_that_messages_name_is_read_and_documented(kind):
+    assert all(quantity(f"1 {unit}", kind) is not None for unit in kind.units)
+    page = (Path(__file__).parents[1] / "docs" / "files.md").read_text(encoding="utf-8")
+    assert f"| {kind.name} | {', '.join(f'`{unit}`' for unit in kind.units)} |" in page
+
+
+UNKNOWN = {
+    "10 in": ("length", "in", ""),
+    "10 inch": ("length", "inch", ""),
+    "10 mmm": ("length", "mmm", ""),
+    "10 cm²": ("area", "cm²", "cm^2"),
+    "10 psi": ("pressure", "psi", ""),
+    "10 kp/cm^2": ("pressure", "kp", ""),
+    "10 Bar": ("pressure", "Bar", "bar"),
+    "21 mpa": ("pressure", "mpa", "MPa"),
+    "10 gal/min": ("flow", "gal", ""),
+    "10 L/Min": ("flow", "Min", "l/min"),
+    "10 KG": ("mass", "KG", "kg"),
+    "10 °": ("angle", "°", ""),
+    "330 Ns/m": ("viscous friction", "Ns", "N s/m"),
+    "1800 1/min": ("rotational speed", "1/min", ""),
+    "2 m/s2": ("acceleration", "m/s2", "m/s^2"),
+}
+
+
+@pytest.mark.parametrize(("text", "expected"), UNKNOWN.items(), ids=UNKNOWN)
+def test_a_unit_that_is_none_here_is_named(text, expected):
+    kind, part, meant = expected
+    assert quantity(text, KINDS[kind]) is None
+    assert slip(text, KINDS[kind]) == f"; {part} is not a unit here{f', did you mean {meant}?' if meant else ''}"
+
+
+def test_the_wrong_kind_of_unit_is_still_a_unit():
+    assert slip("10 rad", KINDS["length"]) == ""
+    assert slip("0.5 m", KINDS["number"]) == ""
 
 
 def test_two_racks_double_the_base_areas(tmp_path):

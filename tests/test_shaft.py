@@ -332,7 +332,8 @@ BAD_MAPS = {
     ),
     "a volume for a displacement": (
         ("15 cm^3/rev", "15 cm^3"),
-        "114: pump.efficiency.displacements[0] = 15 cm^3; must be a finite displacement, such as 45 cm^3/rev",
+        "114: pump.efficiency.displacements[0] = 15 cm^3; must be a finite displacement in cm^3/rev, l/rev, "
+        "m^3/rev, such as 45 cm^3/rev",
     ),
     "a short row": (
         ("[78 %, 0.88, 0.89]", "[78 %, 0.88]"),

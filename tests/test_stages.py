@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from leanboom import crane as cranes
 from leanboom import hydraulics, kernels, stages
-from leanboom.errors import InfeasibleError
+from leanboom.errors import InfeasibleError, InputError
 from leanboom.files import bundled_tasks, load_task
 from leanboom.machine import Joint
 from leanboom.objective import COSTS
@@ -34,6 +34,15 @@ def without_limits(machine, **joints):
     return replace(
         machine, joints=tuple(Joint(j.name, *joints.get(j.name, (j.lower, j.upper))) for j in machine.joints)
     )
+
+
+@pytest.mark.parametrize("wanted", ["0", "-1", "two", "²", "٢", "1_0"])
+def test_a_count_of_threads_is_a_whole_number_in_plain_digits(monkeypatch, wanted):
+    monkeypatch.setenv("LEANBOOM_THREADS", wanted)
+    with pytest.raises(InputError, match="must be a whole number from 1 on"):
+        stages.threads()
+    monkeypatch.setenv("LEANBOOM_THREADS", "2")
+    assert stages.threads() == 2
 
 
 # Time

@@ -145,8 +145,8 @@ def _start(start: str | float, machine: Machine) -> str | float:
 
     try:
         value = Start().check(start)
-    except PydanticCustomError:
-        raise InputError(f"start = {start}; {Start.allowed}") from None
+    except PydanticCustomError as error:
+        raise InputError(f"start = {start}; {error.message()}") from None
     if isinstance(value, float) and value > machine.redundant.stroke:
         raise InputError(
             f"start = {start}; must be from 0 to {machine.redundant.stroke:.6g} m, the stroke of the extension cylinder"

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from leanboom.errors import InfeasibleError, InputError
-from leanboom.terminal import Json, Progress, complain, duration, print_json, settings
+from leanboom.terminal import Json, Progress, complain, duration, percent, print_json, settings
 
 
 def plan(
@@ -104,22 +104,22 @@ def certify(
     ] = None,
     step: Annotated[str, typer.Option(metavar="TIME", help="Length of a stage, in seconds.")] = "0.05",
     seconds: Annotated[str, typer.Option(metavar="TIME", help="Time for bounding; planning comes on top.")] = "60 s",
-    gap: Annotated[float, typer.Option(metavar="PERCENT", help="Gap at which bounding ends.")] = 0.5,
+    gap: Annotated[str, typer.Option(metavar="PERCENT", help="Gap at which bounding ends.")] = "0.5",
     as_json: Json = False,
 ) -> None:
     """Plan a task and prove how far from the optimum the plan can be."""
     _, stage = settings("141x71", step)
     from leanboom import certificate, files, planner, runfolder
 
-    limit = duration("seconds", seconds)
-    certificate.check(pump, stage, limit, gap)
+    limit, least = duration("seconds", seconds), percent("gap", gap)
+    certificate.check(pump, stage, limit, least)
     asked = files.load_task(task, start=start)
     with Progress() as tell:
         result = planner.run(asked, pump=pump, step=stage, baseline=False, progress=tell)
         if not result.evaluation.feasible:
             raise InfeasibleError(result.evaluation.status)
         proof = certificate.certify(
-            asked, pump, motion=result.motion, step=stage, seconds=limit, gap=gap, progress=tell
+            asked, pump, motion=result.motion, step=stage, seconds=limit, gap=least, progress=tell
         )
     if as_json:
         print_json(runfolder.summary(result) | proof.json())

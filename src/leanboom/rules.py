@@ -12,7 +12,7 @@ from typing import Any, LiteralString, get_args
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-from leanboom.units import KINDS, Kind, parse, write
+from leanboom.units import KINDS, Kind, expected, parse, slip, write
 
 STARTS = ("smallest", "middle", "best")
 
@@ -69,7 +69,6 @@ class Quantity(Rule):
             texts = [f"{name} {write(bound, what) if bound else 0}" for name, bound in given if bound is not None]
             bounds = " and ".join(texts)
         self.outside = f"must be {bounds}"
-        self.finite = f"must be a finite {what.name}, such as {what.example}"
         article = "an" if what.name[0] in "aeiou" else "a"
         self.allowed = f"must be {article} {what.name}{' ' if bounds else ''}{bounds}, such as {what.example}"
 
@@ -79,7 +78,7 @@ class Quantity(Rule):
         text = repr(value) if isinstance(value, float | int) and not isinstance(value, bool) else value
         number = parse(text, self.kind) if isinstance(text, str) else None
         if number is None:
-            raise refusal(self.finite)
+            raise refusal(expected(text if isinstance(text, str) else "", self.kind))
         low = (self.above is not None and number <= self.above) or (self.least is not None and number < self.least)
         if low or (self.most is not None and number > self.most):
             raise refusal(self.outside)
@@ -102,8 +101,9 @@ class OrMapping(Rule):
 
     def check(self, value: Any) -> Any:
         """The mapping, or the quantity in SI units."""
+        assert self.kind is not None
         if isinstance(value, list):
-            raise refusal(f"{self.quantity.finite}, {self.mapping}")
+            raise refusal(f"{expected('', self.kind)}, {self.mapping}")
         return value if isinstance(value, dict) else self.quantity.check(value)
 
     def described(self, schema: dict[str, Any]) -> dict[str, Any]:
@@ -237,7 +237,7 @@ class Start(Rule):
         text = value if isinstance(value, str) else repr(value)
         number = parse(text, KINDS["length"])
         if number is None or number < 0.0:
-            raise refusal(self.allowed)
+            raise refusal(self.allowed + slip(text, KINDS["length"]))
         return number
 
 

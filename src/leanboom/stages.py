@@ -9,6 +9,7 @@ alone prescribes (the base) are reduced to one flow and one pressure a stage.
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -308,7 +309,7 @@ def threads() -> int:
     """Threads a sweep may use: LEANBOOM_THREADS where set, else the processors of this process."""
     wanted = os.environ.get("LEANBOOM_THREADS", "")
     if wanted:
-        if not wanted.isdigit() or int(wanted) < 1:
+        if not re.fullmatch("[0-9]{1,6}", wanted) or int(wanted) < 1:
             raise InputError(f"LEANBOOM_THREADS = {wanted}; must be a whole number from 1 on")
         return int(wanted)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

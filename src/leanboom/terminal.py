@@ -14,7 +14,7 @@ PATIENCE = 1.0  # [s], a command that takes longer says what it does
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
 
-_GRID = re.compile(r"(\d{1,6})[xX](\d{1,6})")
+_GRID = re.compile(r"([0-9]{1,6})[xX]([0-9]{1,6})")
 
 
 def settings(grid: str, step: str) -> tuple[tuple[int, int], float]:
@@ -35,12 +35,23 @@ def settings(grid: str, step: str) -> tuple[tuple[int, int], float]:
 
 def duration(name: str, text: str) -> float:
     """A time above 0 [s] as given on the command line."""
-    from leanboom.units import KINDS, parse
+    from leanboom.units import KINDS, parse, slip
 
     seconds = parse(text, KINDS["time"])
     if seconds is None or seconds <= 0.0:
-        raise InputError(f"{name} = {text}; must be a time above 0, such as 0.05 or '50 ms'")
+        raise InputError(f"{name} = {text}; must be a time above 0, such as 0.05 or '50 ms'{slip(text, KINDS['time'])}")
     return seconds
+
+
+def percent(name: str, text: str) -> float:
+    """A number of per cent as given on the command line, with or without the sign."""
+    from leanboom.units import KINDS, parse, slip
+
+    number = text.strip().removesuffix("%")
+    value = parse(number, KINDS["number"])
+    if value is None:
+        raise InputError(f"{name} = {text}; must be a number of per cent, such as 0.5{slip(number, KINDS['number'])}")
+    return value
 
 
 def listed(text: str) -> list[str]:

@@ -15,34 +15,35 @@ from math import isfinite, pi
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What a quantity measures, the SI unit it becomes, and an example for messages."""
+    """What a quantity measures, the SI unit it becomes, an example and the usual units for messages."""
 
     name: str
     unit: str
     example: str
+    units: tuple[str, ...]
 
 
 KINDS = {
     kind.name: kind
     for kind in (
-        Kind("length", "m", "610 mm"),
-        Kind("angle", "rad", "-0.425 rad"),
-        Kind("area", "m^2", "103.87 cm^2"),
-        Kind("volume", "m^3", "1.5 l"),
-        Kind("mass", "kg", "370 kg"),
-        Kind("inertia", "kg m^2", "420 kg m^2"),
-        Kind("time", "s", "0.05 s"),
-        Kind("frequency", "Hz", "5 Hz"),
-        Kind("velocity", "m/s", "0.15 m/s"),
-        Kind("acceleration", "m/s^2", "0.4 m/s^2"),
-        Kind("force", "N", "6 kN"),
-        Kind("pressure", "Pa", "21.5 MPa"),
-        Kind("flow", "m^3/s", "325 l/min"),
-        Kind("rotational speed", "rev/s", "1800 rev/min"),
-        Kind("displacement", "m^3/rev", "45 cm^3/rev"),
-        Kind("sharpness", "s/m", "2000 s/m"),
-        Kind("viscous friction", "N s/m", "330 N s/m"),
-        Kind("number", "", "0.5"),
+        Kind("length", "m", "610 mm", ("mm", "cm", "m")),
+        Kind("angle", "rad", "-0.425 rad", ("deg", "rad", "rev")),
+        Kind("area", "m^2", "103.87 cm^2", ("mm^2", "cm^2", "m^2")),
+        Kind("volume", "m^3", "1.5 l", ("cm^3", "l", "m^3")),
+        Kind("mass", "kg", "370 kg", ("g", "kg", "t")),
+        Kind("inertia", "kg m^2", "420 kg m^2", ("kg m^2", "t m^2")),
+        Kind("time", "s", "0.05 s", ("ms", "s", "min", "h")),
+        Kind("frequency", "Hz", "5 Hz", ("Hz", "kHz")),
+        Kind("velocity", "m/s", "0.15 m/s", ("mm/s", "cm/s", "m/s", "m/min")),
+        Kind("acceleration", "m/s^2", "0.4 m/s^2", ("mm/s^2", "cm/s^2", "m/s^2")),
+        Kind("force", "N", "6 kN", ("N", "kN", "MN")),
+        Kind("pressure", "Pa", "21.5 MPa", ("Pa", "kPa", "MPa", "mbar", "bar")),
+        Kind("flow", "m^3/s", "325 l/min", ("l/min", "l/s", "cm^3/s", "m^3/h", "m^3/s")),
+        Kind("rotational speed", "rev/s", "1800 rev/min", ("rev/min", "rpm", "rev/s")),
+        Kind("displacement", "m^3/rev", "45 cm^3/rev", ("cm^3/rev", "l/rev", "m^3/rev")),
+        Kind("sharpness", "s/m", "2000 s/m", ("s/mm", "s/m")),
+        Kind("viscous friction", "N s/m", "330 N s/m", ("N s/mm", "N s/m", "kN s/m")),
+        Kind("number", "", "0.5", ("%",)),
     )
 }
 
@@ -72,8 +73,12 @@ bar = 1e5 * pascal
 percent = 0.01 = %
 """
 
-_QUANTITY = re.compile(r"([+-]?(?:\d{1,40}(?:\.\d{0,40})?|\.\d{1,40})(?:[eE][+-]?\d{1,3})?)\s*(\S.{0,39})?")
-_UNIT = re.compile(r"%|[A-Za-zµ]+(?:\^-?\d)?(?:(?: ?[*/·] ?| )[A-Za-zµ]+(?:\^-?\d)?)*")
+# [0-9], not \d, which matches the digits of every script.
+_NUMBER = r"[+-]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,3})?"
+_QUANTITY = re.compile(rf"({_NUMBER})\s*(\S.{{0,39}})?")
+_AS_WRITTEN = re.compile(r"[+−–-]?[.,]?\d(?:[\d.,'’_]|\s(?=\d{3}(?!\d)))*")  # numbers of people, of any script
+_UNIT = re.compile(r"%|[A-Za-zµ]+(?:\^-?[0-9])?(?:(?: ?[*/·] ?| )[A-Za-zµ]+(?:\^-?[0-9])?)*")
+_WORD = re.compile(r"[^\W\d]+")
 _LARGEST = 1e15  # anything beyond, in SI units, is a slip of the pen
 
 
@@ -92,16 +97,24 @@ def _factor(unit: str, target: str) -> Fraction | None:
     """What one `unit` is in SI units `target`; None if it is no unit or measures something else."""
     if unit == target:
         return Fraction(1)
-    if not _UNIT.fullmatch(unit):
-        return None
     from pint import PintError
 
-    registry = _registry()
-    text = unit.replace("·", "*").replace("µ", "u")
     try:
-        return Fraction(registry.convert(Fraction(1), registry.parse_units(text), registry.parse_units(target)))
+        return Fraction(_registry().convert(Fraction(1), _parsed(unit), _registry().parse_units(target)))
     except (PintError, ArithmeticError, AttributeError, TypeError, ValueError):
         return None
+
+
+def _parsed(unit: str):
+    """A unit as pint sees it.
+
+    Raises:
+        ValueError: It is not made of words and small powers.
+        PintError: Pint does not know its words.
+    """
+    if not _UNIT.fullmatch(unit):
+        raise ValueError
+    return _registry().parse_units(unit.replace("·", "*").replace("µ", "u"))
 
 
 def parse(text: str, kind: Kind) -> float | None:
@@ -129,3 +142,60 @@ def write(value: float, kind: Kind) -> str:
     text = repr(float(value))
     text = text[:-2] if text.endswith(".0") else text
     return f"{text} {kind.unit}".strip()
+
+
+def expected(text: str, kind: Kind) -> str:
+    """What a text that `parse` refuses must be, as a message.
+
+    Args:
+        text: As written.
+        kind: What it must measure.
+    """
+    unit = _unit(text)
+    units = ""
+    if unit and _factor(unit, kind.unit) is None:
+        units = f" {'in' if kind.unit else 'without a unit or in'} {', '.join(kind.units)}"
+    return f"must be a finite {kind.name}{units}, such as {kind.example}{slip(text, kind)}"
+
+
+def slip(text: str, kind: Kind) -> str:
+    """The part of a text that is no number or no unit here, as the end of a message; nothing if there is none.
+
+    Args:
+        text: As written.
+        kind: What it must measure.
+    """
+    if _odd(text):
+        return "; numbers are written with 0-9 and a decimal point"
+    unit = _unit(text)
+    if not unit or _known(unit):
+        return ""
+    part = next((word for word in _WORD.findall(unit) if not _known(word)), unit)
+    meant = [known for known in kind.units if _plain(known) == _plain(unit)]
+    return f"; {part} is not a unit here" + (f", did you mean {meant[0]}?" if meant else "")
+
+
+def _odd(text: str) -> bool:
+    """Whether a text begins with a number that is written otherwise."""
+    number = _AS_WRITTEN.match(text.strip())
+    return number is not None and not re.fullmatch(_NUMBER, number[0])
+
+
+def _unit(text: str) -> str:
+    """What follows the number of a quantity; nothing if nothing does, or it begins with no number."""
+    match = _QUANTITY.fullmatch(text.strip())
+    return "" if match is None or _odd(text) else (match[2] or "").strip()
+
+
+def _known(unit: str) -> bool:
+    from pint import PintError
+
+    try:
+        return bool(_parsed(unit))
+    except (PintError, ArithmeticError, AttributeError, TypeError, ValueError):
+        return False
+
+
+def _plain(unit: str) -> str:
+    """A unit without what is easily written otherwise: case, spaces, signs of powers and products."""
+    return re.sub(r"[\s^*·]", "", unit.translate(str.maketrans("²³", "23"))).lower()
