@@ -111,6 +111,23 @@ def test_kernels_are_cached_and_keep_infinities():
     assert [mistake for path in SOURCES for mistake in _kernel_mistakes(path)] == []
 
 
+def test_only_one_module_takes_decorators_from_numba():
+    """Every kernel takes `njit` from `compiling`, whose folder of compiled code belongs to the sources at hand."""
+    found = [
+        path.name
+        for path in SOURCES
+        for node in ast.walk(_tree(path))
+        if isinstance(node, ast.ImportFrom)
+        and (node.module or "").split(".")[0] == "numba"
+        and COMPILERS & {alias.name for alias in node.names}
+        or isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Name)
+        and node.value.id == "numba"
+        and node.attr in COMPILERS
+    ]
+    assert found == ["compiling.py"]
+
+
 def test_the_fastmath_flag_set_leaves_nan_and_infinity_alone():
     flags = [
         (path.name, set(ast.literal_eval(node.value)))

@@ -19,7 +19,6 @@ independent, so threads may share a stage.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from leanboom.cellwise import (
     L_DW,
@@ -45,6 +44,7 @@ from leanboom.cellwise import (
     cell_motion,
     expand,
 )
+from leanboom.compiling import njit
 from leanboom.formula import enable_in_kernels
 from leanboom.kernels import (
     AREA_IN,

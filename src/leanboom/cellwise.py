@@ -11,8 +11,8 @@ Kernels: arrays in, caller-owned arrays out, no interpreter lock. `docs/certific
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from leanboom.compiling import njit
 from leanboom.kernels import (
     A0,
     A1,

@@ -19,7 +19,7 @@ from functools import cache
 
 import numpy as np
 
-from leanboom import cells, dp, guide, incumbent, planner, stages
+from leanboom import cells, compiling, dp, guide, incumbent, planner, stages
 from leanboom.errors import InfeasibleError, InputError, LeanboomError
 from leanboom.incumbent import Measured
 from leanboom.motion import Motion
@@ -135,10 +135,11 @@ def certify(
         if not plan.evaluation.feasible:
             raise InfeasibleError(plan.evaluation.status)
         motion = plan.motion
-    tell("loading kernels of the bounds (compiled on the first run ever, which takes up to a minute)", 0.0)
-    dp.prepare()
-    cells.prepare()
-    guide.prepare()
+    tell("loading kernels of the bounds", 0.0)
+    with compiling.told(tell):
+        dp.prepare()
+        cells.prepare()
+        guide.prepare()
     began = time.perf_counter()
     problem = stages.discretise(task, step)
     start = dp.start_position(problem, task.start)

@@ -15,7 +15,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
 from leanboom import dp, stages
 from leanboom.bounds import FORM, cell_flow, supply_forms
@@ -30,6 +29,7 @@ from leanboom.cellwise import (
     cell_motion,
     expand,
 )
+from leanboom.compiling import njit
 from leanboom.dp import Policy
 from leanboom.kernels import (
     AREA_IN,

@@ -17,8 +17,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from leanboom.compiling import njit
 from leanboom.kernels import COEFFICIENTS
 from leanboom.program import (
     DERIVATIVES,

@@ -20,8 +20,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from leanboom.compiling import njit
 from leanboom.dynamics import friction
 from leanboom.formula import enable_in_kernels
 from leanboom.hydraulics import cylinder_flow, pump_losses, pump_power, recuperating_flow

@@ -6,9 +6,9 @@ One compiled function, quick enough for a controller's cycle. At a stage it is t
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from leanboom import kernels
+from leanboom.compiling import njit
 
 
 @njit(cache=True, error_model="numpy")

@@ -76,12 +76,14 @@ def _saving(mine: float, theirs: float) -> str:
 def _facts(result: Plan) -> list[tuple[str, str]]:
     """What was found and how, labelled."""
     motion, judged = result.motion, result.evaluation
+    peak = result.peak_memory_bytes
+    memory = "" if peak is None else f", {peak / 2**20:.0f} MiB at most"
     return [
         ("Method", f"{motion.method}, minimising {motion.cost}"),
         ("Start", f"{length(motion.position[0])} of the extension cylinder"),
         ("Largest use of limits", _use(judged)),
         ("Tool path error", f"{judged.path_error * 1e3:.3f} mm"),
-        ("Solved in", f"{motion.solve_s:.2f} s, {result.peak_memory_bytes / 2**20:.0f} MiB at most"),
+        ("Solved in", f"{motion.solve_s:.2f} s{memory}"),
     ]
 
 

@@ -7,8 +7,8 @@ which are independent, so results do not depend on their number; the interpreter
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from leanboom.compiling import njit
 from leanboom.kernels import (
     C_LO,
     COEFFICIENTS,

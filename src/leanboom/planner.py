@@ -7,14 +7,14 @@ from, the judge measures it, and the best feasible one wins.
 
 from __future__ import annotations
 
-import resource
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leanboom import dp, polish, stages
+from leanboom import compiling, dp, polish, stages
 from leanboom.errors import InfeasibleError, InputError, LeanboomError
 from leanboom.judge import Evaluation, evaluate, judged_cost
 from leanboom.motion import Motion
@@ -63,7 +63,7 @@ class Plan:
     motion: Motion
     evaluation: Evaluation
     baseline: Evaluation | None  # sns-actuator from the same start
-    peak_memory_bytes: int
+    peak_memory_bytes: int | None  # None where the system does not say
 
     def __repr__(self) -> str:
         return f"Plan({self.evaluation!r})"
@@ -136,10 +136,11 @@ def run(
     cost = pump if cost is None else cost
     _check(task, pump, cost, method, grid, step)
     tell = progress or (lambda text, share: None)
-    tell("loading kernels (compiled on the first run ever, which takes up to a minute)", 0.0)
-    dp.prepare()
-    if method in ("dp", "polish"):
-        polish.prepare()
+    tell("loading kernels", 0.0)
+    with compiling.told(tell):
+        dp.prepare()
+        if method in ("dp", "polish"):
+            polish.prepare()
     began = time.perf_counter()
     solver = _Run(task, cost, grid, step, tell, began)
     best = solver.by(method)
@@ -152,9 +153,18 @@ def run(
     if not best.feasible:
         best = replace(best, violations=(status, *best.violations[1:]))
     other = solver.baseline(float(done.position[0])) if baseline else None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     tell("done", 1.0)
-    return Plan(task, pump, done, best, other, peak)
+    return Plan(task, pump, done, best, other, _peak_memory())
+
+
+def _peak_memory() -> int | None:
+    """The most memory this process has taken [bytes]; None where the system does not say."""
+    try:
+        import resource  # not on Windows
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
 
 
 def _check(task: Task, pump: str, cost: str, method: str, grid: tuple[int, int], step: float) -> None:

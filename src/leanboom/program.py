@@ -21,8 +21,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from leanboom.compiling import njit
 from leanboom.hydraulics import pump_power
 from leanboom.kernels import (
     A0,

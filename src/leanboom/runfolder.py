@@ -83,7 +83,7 @@ def summary(plan: Plan, out: Path | None = None) -> dict[str, Any]:
         },
         "path_error_m": _finite(judged.path_error),
         "solve_s": _finite(plan.motion.solve_s),
-        "peak_memory_bytes": int(plan.peak_memory_bytes),
+        "peak_memory_bytes": plan.peak_memory_bytes,
         "out": None if out is None else str(out),
     }
     return {key: values[key] for key in KEYS}

@@ -11,6 +11,7 @@ import typer
 from leanboom.errors import InputError, LeanboomError
 
 PATIENCE = 1.0  # [s], a command that takes longer says what it does
+INTERVAL = 10.0  # [s], at least, between two lines about one beginning
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
 
@@ -75,14 +76,15 @@ def complain(error: LeanboomError | str) -> None:
 class Progress:
     """What a command does at the moment, on standard error.
 
-    A terminal gets a bar. Elsewhere one line tells of a beginning that takes long, such as the first compilation, or
-    each step has a line.
+    A terminal gets a bar. Elsewhere a line now and then tells of a beginning that takes long, such as the first
+    compilation, or each step has a line.
     """
 
     def __init__(self, steps: bool = False) -> None:
         self._steps = steps
         self._bar: Any = None
-        self._timer: Any = None
+        self._over: Any = None  # event that ends the lines of a beginning
+        self._beginning = ""  # what the next line will say
 
     def __enter__(self) -> Progress:
         if sys.stderr.isatty():
@@ -100,15 +102,24 @@ class Progress:
         if self._bar is not None:
             self._bar.update(self._task, description=text, completed=fraction)
             return
-        self._quiet()
         if self._steps:
             typer.echo(f"leanboom: {text}", err=True)
         elif fraction == 0.0:
-            from threading import Timer
+            self._beginning = text
+            if self._over is None:
+                from threading import Event, Thread
 
-            self._timer = Timer(PATIENCE, typer.echo, (f"leanboom: {text}",), {"err": True})
-            self._timer.daemon = True
-            self._timer.start()
+                self._over = Event()
+                Thread(target=self._say, args=(self._over,), daemon=True).start()
+        else:
+            self._quiet()
+
+    def _say(self, over: Any) -> None:
+        """Say now and then what happens, until the beginning is over."""
+        wait = PATIENCE
+        while not over.wait(wait):
+            typer.echo(f"leanboom: {self._beginning}", err=True)
+            wait = INTERVAL
 
     def __exit__(self, *_: object) -> None:
         self._quiet()
@@ -116,6 +127,6 @@ class Progress:
             self._bar.stop()
 
     def _quiet(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+        if self._over is not None:
+            self._over.set()
+            self._over = None

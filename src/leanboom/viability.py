@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from leanboom import cellwise
 from leanboom.cellwise import ON_LIMIT
+from leanboom.compiling import njit
 from leanboom.kernels import COEFFICIENTS
 
 BINS = 16  # bins of position in a row of the first level
