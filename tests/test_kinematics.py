@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from leanboom import kinematics
 from leanboom.files import load_machine
+from leanboom.kinematics import ELBOW_DOWN, ELBOW_MARGIN, ELBOW_UP
 
 MACHINES = {name: load_machine(name) for name in ("forwarder", "loader")}
 SHARE = st.floats(0.0, 1.0)
@@ -106,29 +107,37 @@ def test_inverse_kinematics_finds_the_joints_back(name, shares):
 
 
 @pytest.mark.parametrize("name", MACHINES)
-@given(elbow=st.floats(0.01, 0.99), angle=st.floats(-1.5, 1.5), share=SHARE)
-def test_forward_kinematics_returns_every_reachable_point(name, elbow, angle, share):
-    """Also outside the joint ranges, as far as the arms reach."""
+@pytest.mark.parametrize("side", [ELBOW_UP, ELBOW_DOWN])
+@given(bend=st.floats(1.001 * ELBOW_MARGIN, pi - 1.001 * ELBOW_MARGIN), angle=st.floats(-1.5, 1.5), share=SHARE)
+def test_forward_kinematics_returns_every_reachable_point(name, side, bend, angle, share):
+    """Also outside the joint ranges, on both sides, as far as the arms reach without being straight or folded."""
     machine = MACHINES[name]
     g = machine.geometry
     q4 = share * machine.joints[-1].upper
     e = np.hypot(g.outer + q4, g.offset)
-    distance = abs(g.boom - e) + elbow * (g.boom + e - abs(g.boom - e))
+    distance = np.sqrt(g.boom**2 + e**2 + 2.0 * g.boom * e * cos(bend))
     target = g.base_x + distance * cos(angle), g.base_z + distance * sin(angle)
-    q2, q3 = kinematics.lift_and_tilt(*target, q4, *plane(g))
+    q2, q3 = kinematics.lift_and_tilt(*target, q4, *plane(g), side)
     assert kinematics.tool_point(q2, q3, q4, *plane(g)) == pytest.approx(target, abs=1e-11)
-    assert np.sin(q3 + np.arctan2(g.offset, g.outer + q4)) <= 0.0  # elbow up: outer boom folded down
+    assert side * (q3 + np.arctan2(g.offset, g.outer + q4)) == pytest.approx(
+        bend, abs=1e-9
+    )  # up: outer boom folded down
 
 
 @pytest.mark.parametrize(
-    ("distance", "length"), [(9.9, 3.504 + np.hypot(4.13, 0.376)), (0.3, np.hypot(4.13, 0.376) - 3.504)]
+    ("distance", "bend"),
+    [(9.9, ELBOW_MARGIN), (7.650, ELBOW_MARGIN), (0.3, pi - ELBOW_MARGIN), (0.65, pi - ELBOW_MARGIN)],
 )
-def test_unreachable_points_give_the_nearest_pose(distance, length):
-    """Straight when the tool is too far, folded when it is too close, pointing at the tool."""
+@pytest.mark.parametrize("side", [ELBOW_UP, ELBOW_DOWN])
+def test_unreachable_points_give_the_nearest_pose(distance, bend, side):
+    """Nearly straight when the tool is too far, nearly folded when it is too close, pointing at the tool."""
     g = MACHINES["forwarder"].geometry
+    e = np.hypot(4.13, 0.376)
+    length = np.sqrt(3.504**2 + e**2 + 2.0 * 3.504 * e * cos(bend))
     target = g.base_x + distance * cos(0.4), g.base_z + distance * sin(0.4)
-    assert abs(kinematics.elbow_cosine(*target, 2.0, *plane(g))) > 1.0
-    q2, q3 = kinematics.lift_and_tilt(*target, 2.0, *plane(g))
+    assert abs(kinematics.elbow_cosine(*target, 2.0, *plane(g))) > cos(ELBOW_MARGIN)
+    q2, q3 = kinematics.lift_and_tilt(*target, 2.0, *plane(g), side)
+    assert side * (q3 + np.arctan2(0.376, 4.13)) == pytest.approx(bend, abs=1e-12)
     nearest = g.base_x + length * cos(0.4), g.base_z + length * sin(0.4)
     assert kinematics.tool_point(q2, q3, 2.0, *plane(g)) == pytest.approx(nearest, abs=1e-12)
 

@@ -107,7 +107,7 @@ def test_the_price_rises_with_every_limit_used_too_far_and_beyond_reach():
     judged, more = price(wild)
     assert not judged.feasible and more > judged.energy_cp / scale + via_points.PENALTY * (judged.limit_use.worst - 1)
     judged, most = price(np.full(via_points.POINTS, 9.0))
-    assert not np.isfinite(judged.energy_cp) and via_points.UNREACHED < most < np.inf
+    assert not judged.followed and via_points.UNREACHED < most < np.inf
 
 
 @pytest.mark.parametrize("name", ["forwarder-half-cycle", "loader-triangle-large", "forwarder-horizontal"])

@@ -42,7 +42,7 @@ def measure(name: str, start: str, pump: str, peer: str) -> Measured:
     judged = lb.evaluate(task, motion)
     status = motion.status if motion.status.startswith("not converged") else judged.status
     remark = "; ".join([status, *(motion.log if len(motion.log) == 1 else ())])
-    return Measured(peer, seconds, memory, judged.energy(pump), judged.limit_use.worst, judged.feasible, remark)
+    return Measured(peer, seconds, memory, judged.energy(pump), judged.worst_use, judged.feasible, remark)
 
 
 def peak() -> int:

@@ -63,7 +63,7 @@ def feasible_nodes(problem: Problem, start: float, count: int) -> list[np.ndarra
     nodes = [np.array([start])]
     for k in range(1, problem.stages + 1):
         grid = np.linspace(problem.lower[k], problem.upper[k], count)
-        margin = stages.position_margin(problem.task, problem.crane, problem.plane[k], grid)
+        margin = cranes.position_margin(problem.crane, problem.plane[k], grid)
         nodes.append(grid[margin >= -dp1.SLACK])
     return nodes
 

@@ -109,8 +109,7 @@ def priced(problem: Problem, judged: Evaluation, cost: str, scale: float) -> flo
     """What the search minimises: relative energy and a penalty for limits used above 1."""
     use = judged.limit_use
     excess = sum(max(0.0, value - 1.0) for value in (use.position, use.velocity, use.acceleration))
-    value = judged.energy(cost) / scale + PENALTY * excess
-    if np.isfinite(value):
-        return value
+    if judged.followed:
+        return judged.energy(cost) / scale + PENALTY * excess
     c = judged.motion.position
     return UNREACHED + float(np.sum(np.maximum(0.0, np.maximum(problem.lower - c, c - problem.upper))))

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leanboom import motion
-from leanboom.judge import PATH_TOLERANCE, Evaluation, evaluate
+from leanboom.judge import Evaluation, evaluate
 from leanboom.motion import Motion
 from leanboom.task import Braking, Part, Task
 
@@ -108,5 +108,4 @@ def _slow_down(position: float, velocity: float, lasts: float, share: float) -> 
 def _safer(one: Evaluation, other: Evaluation) -> bool:
     if one.feasible != other.feasible:
         return one.feasible
-    off = one.path_error > PATH_TOLERANCE, other.path_error > PATH_TOLERANCE
-    return (off[0], one.limit_use.worst) < (off[1], other.limit_use.worst)
+    return (not one.followed, one.limit_use.worst) < (not other.followed, other.limit_use.worst)

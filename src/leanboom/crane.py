@@ -10,7 +10,7 @@ A state is completed in two steps, because tables need many motions at each pose
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,11 @@ import numpy as np
 from leanboom import dynamics, hydraulics, kinematics, linkages
 from leanboom.errors import InputError
 from leanboom.machine import Body, Machine, Telescope
-from leanboom.task import Reference, Task
+from leanboom.task import Lines, Reference, Spline, Task, sample
 
 Value = Any  # float, NumPy array or CasADi symbol
+
+LOOKED_AT = (65, 129)  # points of a path and extensions at each when the elbow's side is chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +32,7 @@ class Crane:
     machine: Machine
     bodies: tuple[Body, ...]
     drives: tuple[hydraulics.Drive, ...]
+    side: float = kinematics.ELBOW_UP  # to which the outer boom folds, kept along the whole path
 
     @property
     def ratio(self) -> float:
@@ -47,7 +50,41 @@ def build(task: Task) -> Crane:
     if task.payload:
         load = Body("payload", "tilt", task.payload, machine.payload_along, machine.payload_above, 0.0, 1.0)
         bodies = (*bodies, load)
-    return Crane(machine, bodies, hydraulics.drives(machine))
+    return _on_its_side(Crane(machine, bodies, hydraulics.drives(machine)), task)
+
+
+def sides(machine: Machine) -> tuple[float, ...]:
+    """Sides of the straight arm on which the tilt joint's range has poses: `ELBOW_UP` and `ELBOW_DOWN`, or one."""
+    g, (_, tilt, extension) = machine.geometry, machine.joints[-3:]
+    lines = [np.arctan2(g.offset, g.outer + q4) for q4 in (extension.lower, extension.upper)]
+    ends = tilt.lower + min(lines), tilt.upper + max(lines)  # of the tool line against the boom line
+    found = []
+    if ends[0] < -kinematics.ELBOW_MARGIN:
+        found.append(kinematics.ELBOW_UP)
+    if ends[1] > kinematics.ELBOW_MARGIN:
+        found.append(kinematics.ELBOW_DOWN)
+    return tuple(found) or (kinematics.ELBOW_UP,)
+
+
+def _on_its_side(crane: Crane, task: Task) -> Crane:
+    """The crane with its elbow on the side it keeps: the first of `sides` on which the whole path can be reached.
+
+    What is left of a path, or follows from it, keeps the side of the path it is made of.
+    """
+    possible = [replace(crane, side=side) for side in sides(crane.machine)]
+    if len(possible) > 1:
+        path = task.path
+        while not isinstance(path, Lines | Spline):
+            path = path.path
+        whole = replace(task, path=path)
+        points, extensions = LOOKED_AT
+        here = plane(crane.machine, sample(whole, np.linspace(0.0, path.duration, points)))[:, None]
+        joint = crane.machine.joints[-1]
+        strokes = np.linspace(joint.lower, joint.upper, extensions) * crane.ratio
+        for one in possible:
+            if (position_margin(one, here, strokes) >= 0.0).any(axis=1).all():
+                return one
+    return possible[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +145,7 @@ def pose(crane: Crane, plane: Plane, stroke: Value) -> Pose:
     """The crane's pose with the tool at a reference point and the redundant cylinder at a stroke [m]."""
     machine, g = crane.machine, crane.machine.geometry
     q4 = stroke / crane.ratio
-    q2, q3 = kinematics.lift_and_tilt(plane.r, plane.z, q4, g.base_x, g.base_z, g.boom, g.offset, g.outer)
+    q2, q3 = lift_and_tilt(crane, plane, q4)
     joints = (plane.q1, q2, q3, q4) if g.slewing else (q2, q3, q4)
     inertia, gravity = inertia_and_gravity(crane, q2, q3, q4)
     coulomb = []
@@ -127,6 +164,27 @@ def pose(crane: Crane, plane: Plane, stroke: Value) -> Pose:
         gravity,
         tuple(coulomb),
     )
+
+
+def lift_and_tilt(crane: Crane, plane: Plane, q4: Value) -> tuple[Value, Value]:
+    """Lift and tilt angle [rad] with the tool at a reference point and the extension at q4 [m], on the crane's side."""
+    g = crane.machine.geometry
+    return kinematics.lift_and_tilt(plane.r, plane.z, q4, g.base_x, g.base_z, g.boom, g.offset, g.outer, crane.side)
+
+
+def position_margin(crane: Crane, plane: Plane, stroke: np.ndarray) -> np.ndarray:
+    """How far a pose is inside the reach and the joint ranges: >= 0 exactly where all are kept."""
+    q4 = stroke / crane.ratio
+    margin = kinematics.BENT - np.abs(elbow_cosine(crane, plane, q4))
+    for q, joint in zip((*lift_and_tilt(crane, plane, q4), q4), crane.machine.joints[-3:], strict=True):
+        margin = np.minimum(margin, np.minimum(q - joint.lower, joint.upper - q) / (joint.upper - joint.lower))
+    return margin
+
+
+def elbow_cosine(crane: Crane, plane: Plane, q4: Value) -> Value:
+    """Cosine of the angle at the tilt joint with the tool at a reference point and the extension at q4 [m]."""
+    g = crane.machine.geometry
+    return kinematics.elbow_cosine(plane.r, plane.z, q4, g.base_x, g.base_z, g.boom, g.offset, g.outer)
 
 
 def inertia_and_gravity(crane: Crane, q2: Value, q3: Value, q4: Value) -> tuple[tuple, tuple]:

@@ -329,7 +329,7 @@ def better(one: Evaluation, other: Evaluation, cost: str) -> bool:
     if one.feasible != other.feasible:
         return one.feasible
     if not one.feasible:
-        return one.limit_use.worst < other.limit_use.worst
+        return one.worst_use < other.worst_use
     return one.energy(cost) < other.energy(cost)
 
 

@@ -106,7 +106,7 @@ def violated(problem: Problem, k: int, stroke: np.ndarray, values: dict[str, tup
         stroke: Redundant cylinder [m], any shape.
         values: "velocity" and, where there are any, "acceleration" of each cylinder, broadcasting with the stroke.
     """
-    count = 1.0 * (stages.position_margin(problem.task, problem.crane, problem.plane[k], stroke) < -SLACK)
+    count = 1.0 * (cranes.position_margin(problem.crane, problem.plane[k], stroke) < -SLACK)
     for kind, entries in values.items():
         for value, cylinder in zip(entries, problem.crane.machine.cylinders, strict=True):
             limit = getattr(cylinder, f"{kind}_limit")
@@ -135,7 +135,7 @@ def stage_cost(model: Model, k: int) -> np.ndarray:
     """Principal cost plus penalties at stage k over the grid, (positions, velocities)."""
     problem = model.problem
     c, w = model.positions[:, None], model.velocities[None, :]
-    with np.errstate(all="ignore"):  # poses out of reach give no numbers, and are penalised
+    with np.errstate(all="ignore"):  # linkages beyond their joints' ranges give no numbers, and are penalised
         pose = cranes.pose(problem.crane, problem.plane[k], c)
         moving = cranes.move(pose, w + 0.0 * c, 0.0)
         # Quasi-static: gravity alone, no force of inertia.

@@ -118,7 +118,7 @@ def running_cost(model: Model, k: int, c: np.ndarray, v: np.ndarray, a: np.ndarr
     crane = model.problem.crane
     c, v, a = (x.copy() for x in np.broadcast_arrays(c, v, a))
     stroke = c_max * c
-    with np.errstate(all="ignore"):  # poses out of reach give no numbers, and are penalised
+    with np.errstate(all="ignore"):  # linkages beyond their joints' ranges give no numbers, and are penalised
         pose = cranes.pose(crane, model.problem.plane[k], stroke)
         moving = cranes.move(pose, v_max * v, a_max * a)
         power = dp1.principal_cost(crane, model.cost, moving.velocity, cranes.forces(pose, moving))

@@ -19,6 +19,7 @@ from leanboom.task import Task, sample
 
 SAMPLE = 0.002  # [s], the papers' recording rate
 TOLERANCE = 1.001  # a limit used above this counts as violated
+BEYOND = 1e6  # values in sentences that are larger are given by their order of magnitude
 PATH_TOLERANCE = 1e-4  # [m], tool path error that counts as leaving the path
 
 
@@ -65,6 +66,7 @@ class Evaluation:
     path_error: float  # largest distance of the tool from its path [m]
     violations: tuple[str, ...]  # one sentence a violated limit, worst first
     notes: tuple[str, ...]  # what a real pump could not do (flow, pressure); not limits of the planning problem
+    followed: bool  # whether the crane can make the motion at all; if not, energies are not the task's: "-" in tables
 
     @property
     def energy_ls(self) -> float:
@@ -86,16 +88,21 @@ class Evaluation:
         return not self.violations
 
     @property
+    def worst_use(self) -> float:
+        """Largest use of any limit, that of the path's tolerance among them."""
+        return max(self.limit_use.worst, self.path_error / PATH_TOLERANCE)
+
+    @property
     def status(self) -> str:
         """`solved`, or the worst violation as a sentence."""
         return self.violations[0] if self.violations else "solved"
 
     def __repr__(self) -> str:
         use = self.limit_use
+        ls, cp = (f"{e / 1e3:.2f} kJ" if self.followed else "-" for e in (self.energy_ls, self.energy_cp))
         return (
-            f"Evaluation({self.task.name}, {self.motion.method}: LS {self.energy_ls / 1e3:.2f} kJ, "
-            f"CP {self.energy_cp / 1e3:.2f} kJ, limit use {use.position:.3f}/{use.velocity:.3f}/"
-            f"{use.acceleration:.3f}, {self.status})"
+            f"Evaluation({self.task.name}, {self.motion.method}: LS {ls}, CP {cp}, "
+            f"limit use {use.position:.3f}/{use.velocity:.3f}/{use.acceleration:.3f}, {self.status})"
         )
 
 
@@ -107,14 +114,15 @@ def evaluate(task: Task, motion: Motion) -> Evaluation:
         motion: Motion of the redundant cylinder, from any method.
 
     Returns:
-        The completed motion with pressures, flows, power, energy and limit use on a 2 ms grid. A motion that
-        leaves the crane's reach is off its path and costs infinitely much.
+        The completed motion with pressures, flows, power, energy and limit use on a 2 ms grid, all finite. Where a
+        motion asks for a straight arm or one out of reach, the tool stays at the nearest pose with a bent one, off its
+        path; values that do not exist, as of a linkage that does not close, are 0. Either way `followed` is False.
 
     Raises:
         InputError: If the motion does not last as long as the task, or the task's low pass cannot be sampled.
     """
     _check(task, motion)
-    with np.errstate(all="ignore"):  # singular poses, off the path: reported as such
+    with np.errstate(all="ignore"):  # linkages beyond their joints' ranges: reported as such
         return _evaluate(task, motion)
 
 
@@ -135,33 +143,38 @@ def _evaluate(task: Task, motion: Motion) -> Evaluation:
     plane = cranes.plane(machine, reference)
     pose = cranes.pose(crane, plane, c)
     moving = cranes.move(pose, w, u)
-    force = np.stack(cranes.forces(pose, moving), axis=1)
-    velocity = np.stack(moving.velocity, axis=1)
-    acceleration = np.stack(moving.acceleration, axis=1)
-    joint_position = np.stack((plane.q1, *pose.q) if machine.geometry.slewing else pose.q, axis=1)
+    g = machine.geometry
+    r, z = kinematics.tool_point(*pose.q, g.base_x, g.base_z, g.boom, g.offset, g.outer)
+    columns = {
+        "tool": [r * np.cos(plane.q1), r * np.sin(plane.q1), z],
+        "joint_position": (plane.q1, *pose.q) if g.slewing else pose.q,
+        "joint_velocity": moving.joint_velocity, "joint_acceleration": moving.joint_acceleration,
+        "length": [length for length, _, _ in pose.cylinders], "velocity": moving.velocity,
+        "acceleration": moving.acceleration, "force": cranes.forces(pose, moving),
+    }  # fmt: skip
+    moved = {name: np.stack(values, axis=1) for name, values in columns.items()}
+    exists = all(np.isfinite(values).all() for values in moved.values())
+    moved = {name: _finite(values) for name, values in moved.items()}
+    velocity, force = moved["velocity"], moved["force"]
     pressure, flow = hydraulic_state(crane, velocity, force)
 
     pump = machine.pump
     pump_flow = flow.sum(axis=1)
     supply_ls = pressure.max(axis=1) + pump.ls_margin
     supply_cp = np.full_like(time, pump.constant_pressure)
-    power_ls = hydraulics.pump_power(supply_ls, pump_flow, *shaft_of(pump))
-    power_cp = hydraulics.pump_power(supply_cp, pump_flow, *shaft_of(pump))
+    power_ls = _finite(hydraulics.pump_power(supply_ls, pump_flow, *shaft_of(pump)))
+    power_cp = _finite(hydraulics.pump_power(supply_cp, pump_flow, *shaft_of(pump)))
 
-    g = machine.geometry
-    r, z = kinematics.tool_point(*pose.q, g.base_x, g.base_z, g.boom, g.offset, g.outer)
-    tool = np.stack([r * np.cos(plane.q1), r * np.sin(plane.q1), z], axis=1)
-    error = np.linalg.norm(tool - reference.point, axis=1)
-
-    use = _limit_use(task, joint_position, velocity, acceleration)
-    violations = _violations(task, motion, time, use, joint_position, velocity, acceleration, error)
+    error = np.linalg.norm(moved["tool"] - reference.point, axis=1)
+    limited = moved["joint_position"], velocity, moved["acceleration"]
+    use = _limit_use(task, *limited)
+    violations = _off_path(motion, time, error, cranes.elbow_cosine(crane, plane, pose.q[2]))
+    violations += _violations(task, motion, time, use, *limited)
+    if not (exists or violations):
+        violations = ("a linkage does not close, or has no torque arm, somewhere on the way",)
     largest = [float(values.max()) for values in use]
     arrays = {
-        "time": time, "tool": tool, "tool_target": reference.point, "joint_position": joint_position,
-        "joint_velocity": np.stack(moving.joint_velocity, axis=1),
-        "joint_acceleration": np.stack(moving.joint_acceleration, axis=1),
-        "length": np.stack([length for length, _, _ in pose.cylinders], axis=1),
-        "velocity": velocity, "acceleration": acceleration, "force": force, "pressure": pressure, "flow": flow,
+        "time": time, **moved, "tool_target": reference.point, "pressure": pressure, "flow": flow,
         "pump_flow": pump_flow, "supply_ls": supply_ls, "supply_cp": supply_cp,
         "power_ls": power_ls, "power_cp": power_cp,
         "cumulative_ls": _integral(time, power_ls), "cumulative_cp": _integral(time, power_cp),
@@ -176,6 +189,7 @@ def _evaluate(task: Task, motion: Motion) -> Evaluation:
         path_error=float(error.max()),
         violations=violations,
         notes=_notes(task, time, pump_flow, supply_ls),
+        followed=exists and float(error.max()) <= PATH_TOLERANCE,
     )
 
 
@@ -211,9 +225,13 @@ def hydraulic_state(crane: cranes.Crane, velocity: np.ndarray, force: np.ndarray
     return pressure, flow
 
 
+def _finite(values: np.ndarray) -> np.ndarray:
+    """Values with 0 in place of those that do not exist."""
+    return np.where(np.isfinite(values), values, 0.0)
+
+
 def _integral(time: np.ndarray, power: np.ndarray) -> np.ndarray:
     steps = 0.5 * (power[1:] + power[:-1]) * np.diff(time)
-    steps = np.where(np.isfinite(steps), steps, np.inf)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
@@ -243,16 +261,29 @@ def _limit_use(task: Task, joint_position, velocity, acceleration) -> tuple[np.n
     position = np.abs(joint_position - 0.5 * (lower + upper)) / (0.5 * (upper - lower))
     fastest = np.array([cylinder.velocity_limit for cylinder in machine.cylinders])
     hardest = np.array([cylinder.acceleration_limit for cylinder in machine.cylinders])
-    used = position, np.abs(velocity) / fastest, np.abs(acceleration) / hardest
-    return tuple(np.where(np.isfinite(values), values, np.inf) for values in used)
+    return position, np.abs(velocity) / fastest, np.abs(acceleration) / hardest
 
 
-def _violations(task, motion, time, use, joint_position, velocity, acceleration, error) -> tuple[str, ...]:
+def _off_path(motion: Motion, time: np.ndarray, error: np.ndarray, cosine: np.ndarray) -> tuple[str, ...]:
+    """Where the tool is farthest off its path, and whether that is because the arm must stay bent; or nothing."""
+    i = int(error.argmax())
+    if error[i] <= PATH_TOLERANCE:
+        return ()
+    sentence = f"tool off its path by {_number(error[i])} m at {time[i]:.3f} s{_stage(motion, time[i])}"
+    if np.abs(cosine[i]) <= 1.0:
+        pose, angle = (
+            ("straight", np.pi - np.arccos(cosine[i])) if cosine[i] < 0.0 else ("folded", np.arccos(cosine[i]))
+        )
+        least = np.degrees(kinematics.ELBOW_MARGIN)
+        sentence += (
+            f": the arm would be {pose} to within {np.degrees(angle):.1f} deg, and must stay {least:g} deg from it"
+        )
+    return (sentence,)
+
+
+def _violations(task, motion, time, use, joint_position, velocity, acceleration) -> tuple[str, ...]:
     machine = task.machine
     found = []
-    if error.max() > PATH_TOLERANCE:
-        i = int(error.argmax())
-        found.append((np.inf, f"tool off its path by {error[i]:.4f} m at {time[i]:.3f} s{_stage(motion, time[i])}"))
     limits = [(joint.lower, joint.upper) for joint in machine.joints]
     speeds = [(-c.velocity_limit, c.velocity_limit) for c in machine.cylinders]
     pushes = [(-c.acceleration_limit, c.acceleration_limit) for c in machine.cylinders]
@@ -263,17 +294,22 @@ def _violations(task, motion, time, use, joint_position, velocity, acceleration,
     )
     for (kind, values, ranges, unit), used in zip(kinds, use, strict=True):
         for j, name in enumerate(machine.names):
-            i = int(np.where(np.isfinite(values[:, j]), used[:, j], 0.0).argmax())
+            i = int(used[:, j].argmax())
             if used[i, j] > TOLERANCE:
                 value = values[i, j]
                 limit = ranges[j][1] if value > 0.5 * sum(ranges[j]) else ranges[j][0]
                 what = unit or ("m" if name == "extension" else "rad")
                 sentence = (
-                    f"{kind} of {name} is {value:.4f} {what} at {time[i]:.3f} s{_stage(motion, time[i])}, "
-                    f"beyond its limit {limit:.4f} by {abs(value - limit):.4f}"
+                    f"{kind} of {name} is {_number(value)} {what} at {time[i]:.3f} s{_stage(motion, time[i])}, "
+                    f"beyond its limit {limit:.4f} by {_number(abs(value - limit))}"
                 )
                 found.append((used[i, j], sentence))
     return tuple(sentence for _, sentence in sorted(found, key=lambda item: -item[0]))
+
+
+def _number(value: float) -> str:
+    """Four decimals, or for a value beyond all machines its order of magnitude."""
+    return f"{value:.4f}" if abs(value) < BEYOND else f"{value:.3g}"
 
 
 def _stage(motion: Motion, time: float) -> str:

@@ -17,6 +17,10 @@ import numpy as np
 
 from leanboom.formula import formula
 
+ELBOW_MARGIN = 3.0 * np.pi / 180.0  # [rad]: an arm is never bent by less than this, nor folded up closer than this
+BENT = np.cos(ELBOW_MARGIN)  # largest |cosine| of the angle at the tilt joint
+ELBOW_UP, ELBOW_DOWN = -1.0, 1.0  # sides to which the outer boom folds: down and up
+
 
 @formula
 def tool_point(q2, q3, q4, ox, oz, L1, L2, L3):
@@ -36,14 +40,15 @@ def elbow_cosine(r, z, q4, ox, oz, L1, L2, L3):
 
 
 @formula
-def lift_and_tilt(r, z, q4, ox, oz, L1, L2, L3):
+def lift_and_tilt(r, z, q4, ox, oz, L1, L2, L3, side=ELBOW_UP):
     """Lift and tilt angle [rad] that put the tool at (r, z) with extension q4: the h2, h3 of eq. (33).
 
-    The elbow-up branch (outer boom folded down), the only one inside both machines' joint ranges. Where
-    the tool is unreachable the nearest straight or folded pose is returned.
+    On one side of the straight arm, `ELBOW_UP` (outer boom folded down, as on both papers' machines) or `ELBOW_DOWN`.
+    A straight or folded arm has no inverse, so none is bent by less than `ELBOW_MARGIN`: where that does not reach the
+    tool, the pose is returned that comes nearest to it on the line from the lift joint.
     """
-    cosine = np.maximum(-1.0, np.minimum(1.0, elbow_cosine(r, z, q4, ox, oz, L1, L2, L3)))
-    fold = np.arccos(cosine) - np.pi  # angle of the tool line against the boom line, <= 0
+    cosine = np.maximum(-BENT, np.minimum(BENT, elbow_cosine(r, z, q4, ox, oz, L1, L2, L3)))
+    fold = side * (np.pi - np.arccos(cosine))  # angle of the tool line against the boom line
     e = np.hypot(L3 + q4, L2)
     q3 = fold - np.arctan2(L2, L3 + q4)
     q2 = np.arctan2(z - oz, r - ox) - np.arctan2(e * np.sin(fold), L1 + e * np.cos(fold))

@@ -58,9 +58,10 @@ def _energies(console: Console, result: Plan) -> None:
     judged, other = result.evaluation, result.baseline
     table = new_table("Pump energy", "plan\nkJ", "pseudo-inverse\nkJ", "saving", numbers=3)
     for pump, heading in PUMPS.items():
-        mine, theirs = judged.energy(pump), other.energy(pump) if other is not None else None
-        cells = [f"{mine / 1e3:.2f}"]
-        cells += ["-", "-"] if theirs is None else [f"{theirs / 1e3:.2f}", _saving(mine, theirs)]
+        mine = judged.energy(pump) if judged.followed else None
+        theirs = other.energy(pump) if other is not None and other.followed else None
+        cells = ["-" if energy is None else f"{energy / 1e3:.2f}" for energy in (mine, theirs)]
+        cells.append("-" if mine is None or theirs is None else _saving(mine, theirs))
         add_row(table, f"{heading}{' (chosen)' if pump == result.pump else ''}", *cells)
     console.print(table)
     if other is None:

@@ -310,7 +310,7 @@ class _Run:
                 found = self.judge(dp.rollout(policy, first), f"tube of {half * width:.4f} m, {half * spread:.4f} m/s")
                 if beats(found, chain, self.cost):
                     chain = found
-                elif not found.feasible and found.limit_use.worst < POLISHABLE:
+                elif not found.feasible and found.worst_use < POLISHABLE:
                     cheap = found if cheap is None or cheaper(found, cheap, self.cost) else cheap
                 if not gains(before, judged_cost(chain, self.cost), REPEAT):
                     break
@@ -322,7 +322,7 @@ class _Run:
 
     def polish(self, problem: Problem, chain: Evaluation, free: bool, rounds: int = 4) -> None:
         """Fix the modes of a motion, solve the smooth problem, read the modes off the answer, repeat while it pays."""
-        if not np.isfinite(judged_cost(chain, self.cost)):
+        if not chain.followed:
             return  # out of reach somewhere: nothing to start from
         self.tell("polish", 0.75)
         polisher = self.polisher = self.polisher or polish.build(problem, self.cost)
@@ -341,7 +341,7 @@ class _Run:
                 self.note(f"polish: {text}")
                 break
             judged = self.judge(answer, f"polish ({text})")
-            if not judged.feasible and judged.limit_use.worst < REPAIRABLE:
+            if not judged.feasible and judged.worst_use < REPAIRABLE:
                 judged = self.repair(polisher, judged, switches, free)
             if beats(judged, chain, self.cost):
                 chain = judged
@@ -416,7 +416,7 @@ def beats(one: Evaluation, other: Evaluation, cost: str) -> bool:
     if one.feasible != other.feasible:
         return one.feasible
     if not one.feasible:
-        return one.limit_use.worst < other.limit_use.worst
+        return one.worst_use < other.worst_use
     return judged_cost(one, cost) < judged_cost(other, cost)
 
 

@@ -189,16 +189,12 @@ class Line:
 
 
 def velocity_line(crane: cranes.Crane, plane: cranes.Plane, stroke) -> Line:
-    """The velocities on the path with the redundant cylinder at a stroke [m]; plane and stroke of one shape.
-
-    Not finite where the arm is straight or folded up, as it is beyond the ends of its reach.
-    """
+    """The velocities on the path with the redundant cylinder at a stroke [m]; plane and stroke of one shape."""
     pose = cranes.pose(crane, plane, stroke)
     rest = 0.0 * stroke  # of the shape of all other values
-    with np.errstate(divide="ignore", invalid="ignore"):
-        still, forth = cranes.move(pose, rest, rest), cranes.move(pose, rest + 1.0, rest)
-        joint0, cylinder0 = np.array(still.joint_velocity).T, np.array(still.velocity).T
-        joint1, cylinder1 = np.array(forth.joint_velocity).T - joint0, np.array(forth.velocity).T - cylinder0
+    still, forth = cranes.move(pose, rest, rest), cranes.move(pose, rest + 1.0, rest)
+    joint0, cylinder0 = np.array(still.joint_velocity).T, np.array(still.velocity).T
+    joint1, cylinder1 = np.array(forth.joint_velocity).T - joint0, np.array(forth.velocity).T - cylinder0
     return Line(joint0, joint1, cylinder0, cylinder1, np.array([length for length, _, _ in pose.cylinders]).T)
 
 
@@ -340,8 +336,7 @@ def resolve(task: Task, start_position: float, variant: str = "actuator", step: 
         line = velocity_line(problem.crane, plane, c + 0.5 * step * w)
         low, high = velocity_bounds(problem, line, strokes)
         least = least_velocity(line, variant, area_out, area_in)
-        if np.isfinite(least):  # else the arm is straight just here: go on as before
-            w = min(max(least, float(low)), float(high))
+        w = min(max(least, float(low)), float(high))
         low, high = viable[k + 1] if viable is not None else _nearest(problem.intervals[k + 1], c)
         w = min(max(w, float(low - c) / step), float(high - c) / step)
         c += step * w

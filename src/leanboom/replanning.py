@@ -43,7 +43,7 @@ class Search:
 
     def score(self, judged: Evaluation) -> tuple[float, float]:
         """What makes one motion better than another, smaller first: use of limits beyond 1, then cost."""
-        over = 0.0 if judged.feasible else max(judged.limit_use.worst, judged.path_error)
+        over = 0.0 if judged.feasible else judged.worst_use
         total = judged_cost(judged, self.cost)
         if self.terminal is not None:
             end = np.array([judged.motion.position[-1]]), np.array([judged.motion.velocity[-1]])

@@ -130,19 +130,25 @@ def _text(value: object) -> str:
     return escape(str(value))
 
 
-def _kilojoule(energy: float) -> str:
-    value = energy / 1e3
-    if not np.isfinite(value):
+def _kilojoule(judged: Evaluation, pump: str) -> str:
+    value = judged.energy(pump) / 1e3
+    if not judged.followed:
         return "unknown"
     return f"{value:.1f} kJ" if abs(value) >= 9.95 else f"{value:.2f} kJ"
 
 
+def _average(judged: Evaluation, pump: str) -> str:
+    if not judged.followed:
+        return "the crane cannot make this motion"
+    return f"{judged.energy(pump) / judged.task.duration / 1e3:.2f} kW on average"
+
+
 def _saving(plan: Plan) -> float | None:
     """Share of the baseline's energy that the plan saves; None where there is nothing to compare."""
-    if plan.baseline is None:
+    if plan.baseline is None or not (plan.evaluation.followed and plan.baseline.followed):
         return None
     mine, theirs = plan.evaluation.energy(plan.pump), plan.baseline.energy(plan.pump)
-    return 1.0 - mine / theirs if theirs > 0.0 and np.isfinite(mine / theirs) else None
+    return 1.0 - mine / theirs if theirs > 0.0 else None
 
 
 def _lead(plan: Plan) -> str:
@@ -155,12 +161,12 @@ def _lead(plan: Plan) -> str:
     goal = "" if plan.motion.cost == plan.pump else f" It was chosen for the least {_goal(plan)}, not for this energy."
     begin = (
         f"The crane's tool follows a given path in {plan.task.duration:g} s. Its telescope leaves infinitely many ways "
-        f"to do so; this one takes <strong>{_kilojoule(judged.energy(plan.pump))}</strong> from a {pump} pump"
+        f"to do so; this one takes <strong>{_kilojoule(judged, plan.pump)}</strong> from a {pump} pump"
     )
     saving = _saving(plan)
     if plan.baseline is None or saving is None:
         return f"{begin}.{goal}"
-    other = _kilojoule(plan.baseline.energy(plan.pump))
+    other = _kilojoule(plan.baseline, plan.pump)
     if abs(saving) < 5e-4:
         compared = "as much as the"
     else:
@@ -186,14 +192,14 @@ def _alerts(plan: Plan) -> str:
 
 def _cards(plan: Plan) -> str:
     judged, duration = plan.evaluation, plan.task.duration
-    mine, use = judged.energy(plan.pump), judged.limit_use
+    use = judged.limit_use
     nearest = max(("position", "velocity", "acceleration"), key=lambda kind: getattr(use, kind))
     cards = [
-        ("Energy, plan", _kilojoule(mine), f"{mine / duration / 1e3:.2f} kW on average", " first"),
+        ("Energy, plan", _kilojoule(judged, plan.pump), _average(judged, plan.pump), " first"),
     ]
     if plan.baseline is not None:
-        theirs = plan.baseline.energy(plan.pump)
-        cards.append(("Energy, pseudo-inverse", _kilojoule(theirs), f"{theirs / duration / 1e3:.2f} kW on average", ""))
+        theirs = _kilojoule(plan.baseline, plan.pump), _average(plan.baseline, plan.pump)
+        cards.append(("Energy, pseudo-inverse", *theirs, ""))
     saving = _saving(plan)
     if saving is not None:
         what = "Saving" if saving >= 0.0 else "Loss"
@@ -212,18 +218,17 @@ def _bars(plan: Plan) -> str:
     judged, other = plan.evaluation, plan.baseline
     motions = [("plan", judged, "")] + ([("pseudo-inverse", other, " other")] if other is not None else [])
     order = [plan.pump, *(pump for pump in PUMPS if pump != plan.pump)]
-    largest = max((motion.energy(pump) for pump in order for _, motion, _ in motions), default=0.0)
+    largest = max((m.energy(pump) for pump in order for _, m, _ in motions if m.followed), default=0.0)
     lines = []
     for pump in order:
         for i, (name, motion, kind) in enumerate(motions):
-            energy = motion.energy(pump)
-            share = energy / largest if np.isfinite(energy) and 0.0 < largest < np.inf else 0.0
+            share = motion.energy(pump) / largest if motion.followed and largest > 0.0 else 0.0
             gap = " gap" if i == 0 and pump != plan.pump else ""
             aside = " aside" if pump != plan.pump else ""
             lines.append(
                 f'<div class="bar{kind}{aside}{gap}"><span>{PUMPS[pump]}, {name}</span><span class="track">'
                 f'<span class="fill" style="--share:{share:.4f}"></span>'
-                f'<span class="amount">{_kilojoule(energy)}</span></span></div>'
+                f'<span class="amount">{_kilojoule(motion, pump)}</span></span></div>'
             )
     return "".join(lines)
 
@@ -343,8 +348,6 @@ def _limits_table(plan: Plan) -> str:
 
 
 def _use_cell(use: float, extra: str) -> str:
-    if not np.isfinite(use):
-        return '<td class="n over">unknown</td>'
     over = " over" if use > TOLERANCE else ""
     return f'<td class="n{extra}{over}" style="--use:{min(100.0, 100.0 * use):.0f}%">{100.0 * use:.1f} %</td>'
 

@@ -56,7 +56,9 @@ KEYS = (
 
 
 def summary(plan: Plan, out: Path | None = None) -> dict[str, Any]:
-    """A plan's numbers in SI units, as `summary.json` and `--json` have them; a number that is not finite is None.
+    """A plan's numbers in SI units, as `summary.json` and `--json` have them.
+
+    The energies of a motion that the crane cannot follow are None.
 
     Args:
         plan: The plan.
@@ -73,9 +75,9 @@ def summary(plan: Plan, out: Path | None = None) -> dict[str, Any]:
         "start_m": _finite(plan.motion.position[0]),
         "status": judged.status,
         "duration_s": _finite(plan.task.duration),
-        "energy_j": _finite(judged.energy(plan.pump)),
-        "energy_ls_j": _finite(judged.energy_ls),
-        "energy_cp_j": _finite(judged.energy_cp),
+        "energy_j": judged.energy(plan.pump) if judged.followed else None,
+        "energy_ls_j": judged.energy_ls if judged.followed else None,
+        "energy_cp_j": judged.energy_cp if judged.followed else None,
         "limit_use": {
             "position": _finite(use.position),
             "velocity": _finite(use.velocity),

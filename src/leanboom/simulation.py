@@ -139,7 +139,7 @@ def simulate(
     if pump not in PUMPS:
         raise InputError(f"pump = {pump}; must be one of {', '.join(PUMPS)}")
     planned = evaluate(task, motion)
-    if not (np.isfinite(planned.joint_position).all() and np.isfinite(planned.velocity).all()):
+    if not planned.followed:
         raise InputError(f"the motion leaves the crane's reach: {planned.status}; simulate one that keeps its path")
     tell = progress or (lambda text, share: None)
     tell("building the plant", 0.0)

@@ -25,6 +25,7 @@ from leanboom.task import Task, sample
 SAMPLES = 257  # extensions looked at when searching the feasible ones
 HELD = 0.99  # planned motions hold a cylinder within this share of the velocity that counts as driven
 PROMISE = 1e-9  # [m], accuracy of the ends of the feasible extensions
+_BENT = f"an arm stays {np.degrees(kinematics.ELBOW_MARGIN):g} deg from straight and from folded up"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,23 +95,11 @@ def on_stages(problem: Problem, seed: Motion) -> Motion:
     return motion.from_velocities(problem.step, float(seed.position[0]), velocity, seed.method, seed.cost)
 
 
-def position_margin(task: Task, crane: cranes.Crane, plane: cranes.Plane, stroke: np.ndarray) -> np.ndarray:
-    """How far a pose is inside the reach and the joint ranges: >= 0 exactly where all are kept."""
-    g = task.machine.geometry
-    q4 = stroke / crane.ratio
-    reach = 1.0 - np.abs(kinematics.elbow_cosine(plane.r, plane.z, q4, g.base_x, g.base_z, g.boom, g.offset, g.outer))
-    q2, q3 = kinematics.lift_and_tilt(plane.r, plane.z, q4, g.base_x, g.base_z, g.boom, g.offset, g.outer)
-    margin = reach
-    for q, joint in zip((q2, q3, q4), task.machine.joints[-3:], strict=True):
-        margin = np.minimum(margin, np.minimum(q - joint.lower, joint.upper - q) / (joint.upper - joint.lower))
-    return margin
-
-
 def _feasible_strokes(task, crane, plane, time) -> tuple[np.ndarray, ...]:
     low, high = stroke_range(task)
     for samples in (SAMPLES, 16 * SAMPLES):
         grid = np.linspace(low, high, samples)
-        inside = position_margin(task, crane, plane[:, None], grid[None, :]) >= -1e-12
+        inside = cranes.position_margin(crane, plane[:, None], grid[None, :]) >= -1e-12
         if inside.any(axis=1).all():
             break
     else:
@@ -124,7 +113,7 @@ def _feasible_strokes(task, crane, plane, time) -> tuple[np.ndarray, ...]:
     here = plane[stage]
     while np.max(np.abs(good - bad), initial=0.0) > PROMISE:
         middle = 0.5 * (good + bad)
-        keeps = position_margin(task, crane, here, middle) >= 0.0
+        keeps = cranes.position_margin(crane, here, middle) >= 0.0
         good, bad = np.where(keeps, middle, good), np.where(keeps, bad, middle)
     found = []
     for k in range(time.size):
@@ -139,30 +128,33 @@ def _feasible_strokes(task, crane, plane, time) -> tuple[np.ndarray, ...]:
 
 
 def _why_unreachable(task, crane, plane, k, time, grid) -> str:
-    g = task.machine.geometry
     here = plane[k]
     where = f"at {time:.3f} s (stage {k}), tool radius {here.r:.3f} m, height {here.z:.3f} m"
-    cosine = kinematics.elbow_cosine(here.r, here.z, grid / crane.ratio, g.base_x, g.base_z, g.boom, g.offset, g.outer)
-    if np.all(cosine < -1.0):
-        return f"the path leaves the crane's reach {where}: too far by {_reach_gap(task, here):.3f} m"
-    if np.all(np.abs(cosine) > 1.0):
+    cosine = cranes.elbow_cosine(crane, here, grid / crane.ratio)
+    if np.all(cosine < -kinematics.BENT):
+        gap = np.ceil(1e3 * _reach_gap(task, here)) / 1e3
+        bent = "" if cosine.max() < -1.0 else f"; {_BENT}"
+        return f"the path leaves the crane's reach {where}: too far by {gap:.3f} m{bent}"
+    if np.all(np.abs(cosine) > kinematics.BENT):
         return f"the path comes too close to the lift joint {where}"
-    margin = position_margin(task, crane, here, grid)
+    margin = cranes.position_margin(crane, here, grid)
     best = grid[int(margin.argmax())]
     pose = cranes.pose(crane, here, best)
-    worst, message = 0.0, "the joint ranges exclude each other"
+    worst, message = 0.0, f"the joint ranges allow a straight or folded arm alone; {_BENT}"
     for q, joint in zip(pose.q, task.machine.joints[-3:], strict=True):
         for bound, amount in ((joint.lower, joint.lower - q), (joint.upper, q - joint.upper)):
             if amount / (joint.upper - joint.lower) > worst:
                 worst = amount / (joint.upper - joint.lower)
                 unit = "m" if joint.name == "extension" else "rad"
                 message = f"joint {joint.name} would be {amount:.4f} {unit} beyond its limit {bound:.4f} {unit}"
-    return f"no extension reaches the path {where}: even at {best:.3f} m, {message}"
+    other = "; nor is all of it reached with the outer boom folded up" if len(cranes.sides(task.machine)) > 1 else ""
+    return f"no extension reaches the path {where}: even at {best:.3f} m, {message}{other}"
 
 
 def _reach_gap(task: Task, here: cranes.Plane) -> float:
     g = task.machine.geometry
-    reach = g.boom + np.hypot(g.outer + task.machine.joints[-1].upper, g.offset)
+    outer = np.hypot(g.outer + task.machine.joints[-1].upper, g.offset)
+    reach = np.sqrt(g.boom**2 + outer**2 + 2.0 * g.boom * outer * kinematics.BENT)
     return float(np.hypot(here.r - g.base_x, here.z - g.base_z) - reach)
 
 
