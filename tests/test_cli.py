@@ -11,7 +11,20 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from leanboom import cli, dp, files, inspection, motion, objective, planner, runfolder, terminal
+from leanboom import (
+    cli,
+    comparison,
+    dp,
+    files,
+    folders,
+    inspection,
+    motion,
+    objective,
+    planner,
+    reproduction,
+    runfolder,
+    terminal,
+)
 from leanboom.errors import InfeasibleError
 from leanboom.judge import evaluate
 
@@ -135,6 +148,40 @@ def test_plan_refuses_a_strange_folder_before_it_plans(calls, tmp_path):
     assert result.exit_code == 2
     assert "holds precious: give a new or empty folder" in result.stderr
     assert calls == []
+
+
+def test_no_command_works_for_a_place_it_cannot_write(calls, monkeypatch, tmp_path):
+    """A folder below a file was refused when all was computed."""
+
+    def solved(*_, **__):
+        raise AssertionError("work began")
+
+    monkeypatch.setattr(comparison, "compare", solved)
+    monkeypatch.setattr(reproduction, "reproduce", solved)
+    (tmp_path / "file").touch()
+    below = ("--out", str(tmp_path / "file" / "x"))
+    for command in (
+        ("plan", "forwarder-vertical", *below), ("simulate", "forwarder-vertical", *below),
+        ("compare", "forwarder-vertical", *below), ("reproduce", "table2", *below),
+        ("reproduce", "table2", "--out", str(tmp_path / "kept"), "--docs", str(tmp_path / "file" / "x")),
+    ):  # fmt: skip
+        result = leanboom(*command)
+        assert result.exit_code == 2, command
+        assert "x; cannot be written: " in result.stderr
+    assert calls == []
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_no_command_works_for_a_place_where_another_run_will_write(calls, monkeypatch, tmp_path):
+    monkeypatch.setattr(comparison, "compare", lambda *_, **__: pytest.fail("work began"))
+    out = tmp_path / "run"
+    with folders.reserved(out):
+        for command in ("plan", "simulate", "compare"):
+            result = leanboom(command, "forwarder-vertical", "--out", str(out))
+            assert result.exit_code == 2
+            assert result.stderr.startswith(f"leanboom: out = {out}; another run of leanboom writes there: ")
+    assert calls == []
+    assert leanboom("plan", "forwarder-vertical", "--out", str(out)).exit_code == 0
 
 
 BAD = {

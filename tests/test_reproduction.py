@@ -150,6 +150,83 @@ def test_damaged_records_are_solved_again(solved, tmp_path):
     assert len(solved) == 2
 
 
+def _edited(path, change):
+    """A kept solution whose record somebody changed, its seal left alone."""
+    kept = json.loads(path.read_text())
+    change(kept["record"])
+    path.write_text(json.dumps(kept))
+
+
+def test_edited_records_are_solved_again(solved, tmp_path):
+    """Text in place of a number was a TypeError, NaN a ValueError, and forged numbers were printed as ours."""
+    first = reproduction.reproduce(["table2"], tmp_path)
+    solved.clear()
+    changes = [
+        lambda kept: kept.update(energy_cp_j="many"),
+        lambda kept: kept.update(energy_ls_j={"a": 1}),
+        lambda kept: kept.update(flow_m3=float("nan")),
+        lambda kept: kept.update(energy_cp_j=1.0),
+        lambda kept: kept.update(status="<script>alert(1)</script>"),
+        lambda kept: kept.update(energy_ls_j=None),
+        lambda kept: kept["stroke_m"].append(0.0),
+    ]
+    paths = sorted((tmp_path / "solved").glob("*.json"))
+    for path, change in zip(paths, changes, strict=False):
+        _edited(path, change)
+    paths[7].write_text(paths[6].read_text())  # a solution under another's name
+    result = reproduction.reproduce(["table2"], tmp_path)
+    assert len(solved) == 8
+    assert result.json() == first.json()
+    solved.clear()
+    paths[0].write_text("[" * 100_000)
+    paths[1].write_bytes(b"\xff\xfe")
+    reproduction.reproduce(["table2"], tmp_path)
+    assert len(solved) == 2
+
+
+def test_a_record_needs_all_its_numbers_even_under_a_seal(tmp_path):
+    made = record(EXPERIMENTS["table2"].jobs()["DP (CP)"])
+    reproduction._keep(tmp_path, "digest", made)
+    assert reproduction._read(tmp_path, "digest") == made
+    for wrong in ({"energy_cp_j": None}, {"time_s": [0.0]}, {"status": 1}, {"cpu_s": float("inf")}, {"more": 1.0}):
+        with pytest.raises(ValueError):
+            reproduction._keep(tmp_path, "digest", made | wrong)
+
+
+def test_solutions_are_named_after_what_they_depend_on(monkeypatch, tmp_path):
+    """A list of modules without a part in solutions, kept by hand, missed new ones and held too many."""
+    from leanboom import fingerprint
+
+    found = {path.stem for path in fingerprint.needed("reproduction")}
+    assert {"planner", "shooting", "collocation", "hydraulics", "simulation", "reproduction"} <= found
+    assert not {"cli", "tables", "results", "figures", "report"} & found
+    texts = {"a": "def f():\n    from leanboom import b", "b": "import leanboom.deep.c as c", "d": "x = 1"}
+    for name, text in texts.items():
+        (tmp_path / f"{name}.py").write_text(text)
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "c.py").write_text("import numpy")
+    monkeypatch.setattr(fingerprint, "_FOLDER", tmp_path)
+    assert {path.stem for path in fingerprint.needed("a")} == {"a", "b", "c"}
+    of = fingerprint.fingerprint.__wrapped__
+    one, every = of("a"), of()
+    (tmp_path / "d.py").write_text("x = 2")
+    assert of("a") == one and of() != every
+    (tmp_path / "deep" / "c.py").write_text("import scipy")
+    assert of("a") != one
+
+
+def test_words_of_a_solution_are_no_markup_on_the_page(solved, monkeypatch, tmp_path):
+    def each(function, arguments, workers, report):
+        for index, job in enumerate(arguments):
+            failed = jobs.Outcome(failure="<img src=x> [a](b) | *c*\n# d `e`", refused=True)
+            report(index, failed if job.method == "shooting" else jobs.Outcome(record(job)))
+
+    monkeypatch.setattr(reproduction.jobs, "each", each)
+    page = results.page(reproduction.reproduce(["table2"], tmp_path))
+    assert "| &lt;img src=x&gt; \\[a](b) \\| \\*c\\* # d \\`e\\` |" in page
+    assert "<img" not in page
+
+
 def test_a_refusal_is_kept_and_a_crash_is_not(monkeypatch, tmp_path):
     calls = []
 

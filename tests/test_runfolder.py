@@ -157,14 +157,14 @@ def test_a_failure_midway_leaves_nothing(plan, tmp_path, monkeypatch, failure, e
     if existing:
         runfolder.write(plan, out)
         (out / "report.html").write_text("old", encoding="utf-8")
-    write = Path.write_text
+    write = Path.write_bytes
 
     def failing(path, *args, **kwargs):
         if path.name == "trajectory.csv":
             raise failure
         return write(path, *args, **kwargs)
 
-    monkeypatch.setattr(Path, "write_text", failing)
+    monkeypatch.setattr(Path, "write_bytes", failing)
     with pytest.raises(InputError if isinstance(failure, OSError) else KeyboardInterrupt):
         runfolder.write(plan, out)
     assert names(tmp_path) == (["run"] if existing else [])
@@ -178,7 +178,7 @@ def test_a_failed_swap_puts_the_earlier_folder_back(plan, tmp_path, monkeypatch)
     rename = Path.rename
 
     def failing(path, target):
-        if ".new-" in path.name:
+        if "-new-" in path.name:
             raise OSError(5, "Input/output error")
         return rename(path, target)
 

@@ -57,12 +57,10 @@ def plan(
     nodes, seconds = settings(grid, step)
     from leanboom import files, runfolder
 
-    if out is not None:
-        runfolder.check(out)
     asked = files.load_task(task, start=start)
     from leanboom import planner
 
-    with Progress() as tell:
+    with Progress() as tell, runfolder.reserved(out):
         result = planner.run(asked, pump=pump, cost=cost, method=method, grid=nodes, step=seconds, progress=tell)
         if out is not None:
             tell("writing the run folder", 1.0)
@@ -155,10 +153,10 @@ def simulate(
     run = Path(task) if task not in files.bundled_tasks() and Path(task).is_dir() else None
     if run is not None and method is not None:
         raise InputError(f"method = {method}; the run folder {task} is planned already: leave --method out")
-    if out is not None:
-        runfolder.check(out)
-    with Progress() as tell:
-        if run is None:
+    kept = None if run is None else runfolder.read(run)
+    out = out or run
+    with Progress() as tell, runfolder.reserved(out):
+        if kept is None:
             asked = files.load_task(task)
             plan = planner.run(asked, pump=pump or "ls", method=method or "dp", progress=tell)
             result = simulation.simulate(asked, plan.motion, plan.pump, progress=tell)
@@ -166,9 +164,9 @@ def simulate(
                 tell("writing the run folder", 1.0)
                 runfolder.write(plan, out, simulation=result)
         else:
-            asked, motion, planned_for = runfolder.read(run)
+            assert run is not None and out is not None
+            asked, motion, planned_for = kept
             result = simulation.simulate(asked, motion, pump or planned_for, progress=tell)
-            out = out or run
             tell("writing the run folder", 1.0)
             runfolder.add(run, out, result)
     if as_json:

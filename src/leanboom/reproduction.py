@@ -7,19 +7,20 @@ it stopped, and experiments share their solutions.
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import json
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from leanboom import __version__, jobs
+from pydantic import BaseModel, ConfigDict, FiniteFloat, model_validator
+
+from leanboom import __version__, folders, jobs
 from leanboom.errors import InputError, LeanboomError
-from leanboom.experiments import COARSE, EXPERIMENTS, Job, Line, Records
+from leanboom.experiments import COARSE, EXPERIMENTS, Job, Line, Record, Records
+from leanboom.fingerprint import fingerprint
 from leanboom.motion import Motion
 from leanboom.task import Task
 
@@ -28,13 +29,6 @@ STEP = 0.05  # [s]
 POINTS = 601  # of a motion in its record, at most
 CLOSED_LOOP = ("driven_ls_j", "driven_cp_j", "accuracy_ls_m", "accuracy_cp_m")  # numbers of a record
 SOLVED = "solved"  # folder of the solutions
-# Modules that present results or do what no experiment does: their sources have no part in a solution.
-APART = (
-    "bounds", "cells", "cellwise", "certificate", "charts", "cli", "comparison", "continuation", "enclosure",
-    "experiments", "figures", "guide", "horizon", "incumbent", "inspection", "intervals", "jobs", "lookahead",
-    "printed", "proofs", "replanning", "report", "reproduction", "results", "runfolder", "simulation_page", "tables",
-    "variations", "viability", "writing",
-)  # fmt: skip
 
 Progress = Callable[[str, float], None]
 
@@ -103,7 +97,6 @@ def reproduce(
         InputError: An experiment does not exist, or the folder cannot be used.
     """
     wanted = names(asked)
-    _make(folder / SOLVED)
     tell = progress or (lambda text, share: None)
     needed = {name: {row: (key(job), job) for row, job in EXPERIMENTS[name].jobs().items()} for name in wanted}
     every = {digest: job for rows in needed.values() for digest, job in rows.values()}
@@ -117,7 +110,7 @@ def reproduce(
         digest = missing[index]
         record = _nothing(outcome.failure) if outcome.failed else outcome.value
         if not outcome.failed or outcome.refused:  # what was killed is tried again next time
-            _write(folder / SOLVED / f"{digest}.json", record)
+            _keep(folder, digest, record)
         known[digest] = record
         job = every[digest]
         text = f"{job.task.name}, {job.method} ({job.cost}): {len(known)} of {len(every)} solutions"
@@ -130,7 +123,7 @@ def reproduce(
     result = Reproduction(tuple(lines), records)
     for name in wanted:
         rows = [entry for entry in result.json() if entry["experiment"] == name]
-        _write(folder / f"{name}.json", rows)
+        folders.write(folder, {f"{name}.json": (json.dumps(rows, allow_nan=False) + "\n").encode()})
     return result
 
 
@@ -140,18 +133,9 @@ def key(job: Job) -> str:
     Args:
         job: The job.
     """
-    parts = (__version__, _sources(), repr(job.task), job.method, job.cost, job.grid, SMOOTH, STEP)
+    sources = fingerprint("reproduction")
+    parts = (__version__, sources, repr(job.task), job.method, job.cost, job.grid, SMOOTH, STEP)
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]
-
-
-@functools.cache
-def _sources() -> str:
-    """A hash of the sources that solve."""
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        if path.stem not in APART:
-            digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    return digest.hexdigest()
 
 
 def _effort(job: Job) -> float:
@@ -230,28 +214,63 @@ def _nothing(reason: str) -> dict[str, Any]:
     return {"status": reason, **dict.fromkeys(numbers), "time_s": [], "stroke_m": [], "supply_ls_pa": []}
 
 
-def _read(folder: Path, digest: str) -> dict[str, Any] | None:
-    """A kept record; None if there is none or it is damaged."""
+class _Kept(BaseModel):
+    """What a record must hold: finite numbers, all of them where the solution is one, and samples of equal count."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    status: str
+    energy_ls_j: FiniteFloat | None
+    energy_cp_j: FiniteFloat | None
+    flow_m3: FiniteFloat | None
+    pressure_pa: FiniteFloat | None
+    driven_ls_j: FiniteFloat | None
+    driven_cp_j: FiniteFloat | None
+    accuracy_ls_m: FiniteFloat | None
+    accuracy_cp_m: FiniteFloat | None
+    solve_s: FiniteFloat | None
+    cpu_s: FiniteFloat | None
+    time_s: list[FiniteFloat]
+    stroke_m: list[FiniteFloat]
+    supply_ls_pa: list[FiniteFloat]
+
+    @model_validator(mode="after")
+    def _belongs_together(self) -> _Kept:
+        numbers = (self.energy_ls_j, self.energy_cp_j, self.flow_m3, self.pressure_pa, self.solve_s, self.cpu_s)
+        if None in numbers and (self.status == "solved" or self.time_s):
+            raise ValueError("a solution has all its numbers")
+        if not len(self.time_s) == len(self.stroke_m) == len(self.supply_ls_pa):
+            raise ValueError("samples must be equal in number")
+        return self
+
+
+class _Sealed(BaseModel):
+    """The file of a record, with a hash that shows when its content was changed or belongs to another solution."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    record: _Kept
+    sha256: str
+
+
+def _seal(digest: str, record: Record) -> str:
+    """The hash that a record is kept with."""
+    text = json.dumps([digest, record], sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _keep(folder: Path, digest: str, record: Record) -> None:
+    """Write a record; the file appears whole or not at all."""
+    record = _Kept.model_validate(dict(record)).model_dump()
+    text = json.dumps({"record": record, "sha256": _seal(digest, record)}, allow_nan=False) + "\n"
+    folders.write(folder, {f"{SOLVED}/{digest}.json": text.encode()})
+
+
+def _read(folder: Path, digest: str) -> Record | None:
+    """A kept record; None if there is none, or it is not as it was written: then it is solved again."""
     try:
-        record = json.loads((folder / SOLVED / f"{digest}.json").read_text(encoding="utf-8"))
+        kept = _Sealed.model_validate_json((folder / SOLVED / f"{digest}.json").read_bytes())
     except (OSError, ValueError):
         return None
-    return record if isinstance(record, dict) and set(record) == set(_nothing("")) else None
-
-
-def _make(folder: Path) -> None:
-    """Make a folder before anybody waits for what goes into it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"out = {folder.parent}; cannot be written: {error.strerror or error}") from None
-
-
-def _write(path: Path, value: Any) -> None:
-    """Write JSON; the file appears whole or not at all."""
-    try:
-        new = path.with_name(f".{path.name}.{os.getpid()}")
-        new.write_text(json.dumps(value, allow_nan=False) + "\n", encoding="utf-8")
-        new.replace(path)
-    except OSError as error:
-        raise InputError(f"out = {path.parent}; cannot be written: {error.strerror or error}") from None
+    record = kept.record.model_dump()
+    return record if _seal(digest, record) == kept.sha256 else None

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import html
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from leanboom import experiments, figures, printed
-from leanboom.errors import InputError
+from leanboom import experiments, figures, folders, printed
 from leanboom.experiments import EXPERIMENTS, PATHS, PUMPS, STARTS
 
 if TYPE_CHECKING:
@@ -25,22 +26,26 @@ _SECTION = re.compile(r"<!-- ([\w-]+) -->\n")
 _HOLE = re.compile(r"\{\{(\w+)\}\}")
 
 
-def check(out: Path) -> None:
-    """Raise InputError if a comparison must not be written to a folder.
+@contextmanager
+def reserved(out: Path | None) -> Iterator[None]:
+    """Keep a place for the folder of a comparison while it is made; without a place, nothing.
 
     Args:
         out: The folder.
+
+    Raises:
+        InputError: The folder holds something else, cannot be written, or another run is about to.
     """
-    try:
-        if out.exists() and not out.is_dir():
-            raise InputError(f"out = {out}; is a file: give a new or empty folder, or that of an earlier comparison")
-        strange = sorted(path.name for path in out.iterdir() if path.name not in COMPARISON) if out.is_dir() else []
-    except (OSError, ValueError) as error:
-        raise InputError(f"out = {out}; cannot be used: {error}") from None
-    if strange:
-        raise InputError(
-            f"out = {out}; holds {strange[0]}: give a new or empty folder, or that of an earlier comparison"
-        )
+    if out is None:
+        yield
+        return
+    _check(out)
+    with folders.reserved(out):
+        yield
+
+
+def _check(out: Path) -> None:
+    folders.check(out, COMPARISON, lambda folder: True, "that of an earlier comparison")
 
 
 def write_comparison(comparison: Comparison, out: Path) -> Path:
@@ -56,10 +61,10 @@ def write_comparison(comparison: Comparison, out: Path) -> Path:
     Raises:
         InputError: The folder holds something else, or cannot be written.
     """
-    check(out)
+    _check(out)
     text = json.dumps(comparison.json(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     pictures = figures.energies(comparison), figures.trajectories(comparison)
-    _write(out, dict(zip(COMPARISON, (text.encode(), *pictures), strict=True)))
+    folders.put(out, dict(zip(COMPARISON, (text.encode(), *pictures), strict=True)))
     return out
 
 
@@ -76,8 +81,8 @@ def write_page(result: Reproduction, out: Path) -> Path:
     Raises:
         InputError: The folder cannot be written.
     """
-    _write(out / FIGURES, pictures(result))
-    _write(out, {PAGE: page(result).encode()})
+    drawn = {f"{FIGURES}/{name}": content for name, content in pictures(result).items()}
+    folders.write(out, drawn | {PAGE: page(result).encode()})
     return out / PAGE
 
 
@@ -167,14 +172,19 @@ def _table(lines: list[Line]) -> str:
     heads += ["why"] if noted else []
     rows = [f"| {' | '.join(heads)} |", "| --- |" + " ---: |" * (len(heads) - 1 - noted) + " --- |" * noted]
     for line in lines:
-        cells = [line.row.replace("[", "\\[")]
+        cells = [_plain(line.row)]
         digits = 1 if "[%]" in line.row or "[kJ]" in line.row else 3
         cells += [number(line.printed, digits)] if beside else []
         cells += [number(line.ours, digits)]
         cells += [number(line.difference, digits, signed=True)] if beside else []
-        cells += [line.why] if noted else []
+        cells += [_plain(line.why)] if noted else []
         rows.append(f"| {' | '.join(cells)} |")
     return "\n".join(rows)
+
+
+def _plain(text: str) -> str:
+    """A text for a cell of a table, where nothing in it is markup."""
+    return re.sub(r"([\\`*_\[|])", r"\\\1", html.escape(" ".join(text.split()), quote=False))
 
 
 def number(value: float | None, digits: int = 3, *, signed: bool = False) -> str:
@@ -269,15 +279,3 @@ def verdicts(groups: Mapping[str, list[Line]]) -> list[str]:
                 range_ = f"{saving[0]:.0f} to {saving[-1]:.0f} %"
                 said.append(f"Path {path}: the best saves {range_} of {pump} energy against a pseudo-inverse.")
     return said
-
-
-def _write(folder: Path, contents: Mapping[str, bytes]) -> None:
-    """Write files; each appears whole or not at all."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, content in contents.items():
-            new = folder / f".{name}.new"
-            new.write_bytes(content)
-            new.replace(folder / name)
-    except OSError as error:
-        raise InputError(f"out = {folder}; cannot be written: {error.strerror or error}") from None

@@ -1,21 +1,19 @@
 """The run folder of a plan: everything about one run in files that open without leanboom.
 
-It appears as a whole or not at all: written beside its place under another name, then renamed. An earlier run folder
-gives way to a new one; a folder that holds anything else is never touched.
+It appears as a whole or not at all. An earlier run folder gives way to a new one; a folder that holds anything else is
+never touched.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import secrets
-import shutil
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from leanboom import simulation_page
+from leanboom import folders, simulation_page
 from leanboom.errors import InputError
 
 if TYPE_CHECKING:
@@ -128,22 +126,30 @@ def columns(evaluation: Evaluation) -> dict[str, np.ndarray]:
 
 
 def check(out: Path) -> None:
-    """Raise InputError if a run folder must not be written at a place, so that nobody waits for nothing.
+    """Raise InputError if a run folder must not be written at a place.
 
     Args:
         out: Where the run folder is wanted.
     """
-    with _explained(out):
-        if out.is_symlink():
-            raise InputError(f"out = {out}; is a symbolic link: give the folder itself")
-        if out.exists() and not out.is_dir():
-            raise InputError(f"out = {out}; is a file: give a new or empty folder, or an earlier run folder")
-        if Path.cwd().is_relative_to(out.resolve()):
-            raise InputError(f"out = {out}; is or holds the current folder: give one below or beside it")
-        if out.is_dir() and any(out.iterdir()) and not _is_run_folder(out):
-            strange = sorted(path.name for path in out.iterdir() if path.name not in ALLOWED)
-            holds = f"holds {strange[0]}" if strange else "was not written by leanboom"
-            raise InputError(f"out = {out}; {holds}: give a new or empty folder, or an earlier run folder")
+    folders.check(out, ALLOWED, _is_run_folder, "an earlier run folder")
+
+
+@contextmanager
+def reserved(out: Path | None) -> Iterator[None]:
+    """Keep a place for a run folder while its contents are found; without a place, nothing.
+
+    Args:
+        out: Where the run folder is wanted.
+
+    Raises:
+        InputError: The folder cannot be written there, or another run is about to.
+    """
+    if out is None:
+        yield
+        return
+    check(out)
+    with folders.reserved(out):
+        yield
 
 
 def _is_run_folder(folder: Path) -> bool:
@@ -185,7 +191,7 @@ def write(plan: Plan, out: Path, grid: tuple[int, int] | None = None, simulation
     }
     if simulation is not None:
         texts |= simulation_page.texts(simulation, out)
-    _put(out, texts)
+    folders.put(out, {name: text.encode() for name, text in texts.items()})
     return out
 
 
@@ -204,9 +210,10 @@ def add(run: Path, out: Path, simulation: Simulation) -> Path:
         InputError: The folder holds something else, or cannot be written.
     """
     check(out)
-    with _explained(run):
-        kept = {name: (run / name).read_text(encoding="utf-8") for name in FILES}
-    _put(out, kept | simulation_page.texts(simulation, out))
+    with folders.explained(run, "run", "cannot be read"):
+        kept = {name: (run / name).read_bytes() for name in FILES}
+    texts = simulation_page.texts(simulation, out)
+    folders.put(out, kept | {name: text.encode() for name, text in texts.items()})
     return out
 
 
@@ -226,7 +233,7 @@ def read(run: Path) -> tuple[Task, Motion, str]:
 
     from leanboom import files, motion
 
-    with _explained(run):
+    with folders.explained(run, "run", "cannot be read"):
         if not run.is_dir() or not _is_run_folder(run):
             raise InputError(f"run = {run}; is not a run folder: make one with leanboom plan TASK --out DIR")
         kept = json.loads((run / SUMMARY).read_text(encoding="utf-8"))
@@ -246,23 +253,6 @@ def read(run: Path) -> tuple[Task, Motion, str]:
     return task, found, kept["pump"]
 
 
-def _put(out: Path, texts: Mapping[str, str]) -> None:
-    """Write the files of a folder, which appears as a whole or not at all."""
-    # Resolved once: renaming "." or "a/.." would not do what it says.
-    place = out.resolve()
-    with _explained(out):
-        place.parent.mkdir(parents=True, exist_ok=True)
-        new = _beside(place, "new")
-        new.mkdir()
-        try:
-            for name, text in texts.items():
-                (new / name).write_text(text, encoding="utf-8", newline="\n")
-            _replace(place, new)
-        except BaseException:
-            shutil.rmtree(new, ignore_errors=True)
-            raise
-
-
 def trajectory(evaluation: Evaluation) -> str:
     """The text of `trajectory.csv`: ten significant digits, one row a sample of 2 ms.
 
@@ -275,34 +265,3 @@ def trajectory(evaluation: Evaluation) -> str:
     row = ",".join(["%.10g"] * len(table))
     values = np.stack(list(table.values()), axis=1) + 0.0  # no minus zeros
     return "\n".join([",".join(table), *(row % tuple(sample) for sample in values.tolist())]) + "\n"
-
-
-def _replace(place: Path, new: Path) -> None:
-    """Put a new folder in its place; what was there returns if that fails."""
-    if not place.exists():
-        new.rename(place)
-        return
-    old = _beside(place, "old")
-    place.rename(old)
-    try:
-        new.rename(place)
-    except BaseException:
-        with suppress(OSError):
-            old.rename(place)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
-
-
-def _beside(place: Path, what: str) -> Path:
-    return place.with_name(f".{place.name[:80]}.{what}-{secrets.token_hex(4)}")
-
-
-@contextmanager
-def _explained(out: Path) -> Iterator[None]:
-    """What the system refuses, said as a problem of the folder's name."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"out = {out}; cannot be written: {error.strerror or error}") from None
-    except ValueError as error:  # a name or text no file can have
-        raise InputError(f"out = {str(out)!r}; cannot be written: {error}") from None

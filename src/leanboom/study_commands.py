@@ -45,11 +45,9 @@ def compare(
     pumps = listed(pump)
     chosen = None if methods is None else listed(methods)
     comparison.entries(chosen, pumps)
-    if out is not None:
-        results.check(out)
     asked = files.load_task(task)
     starts = None if start is None else [files.load_task(task, start=each).start for each in listed(start)]
-    with Progress(steps=True) as tell:
+    with Progress(steps=True) as tell, results.reserved(out):
         result = comparison.compare(asked, pumps, start=starts, methods=chosen, simulate=simulate, progress=tell)
         if out is not None:
             tell("drawing", 1.0)
@@ -85,13 +83,14 @@ def reproduce(
     as_json: Json = False,
 ) -> None:
     """Solve the papers' experiments again; print our values beside the printed ones."""
-    from leanboom import reproduction, results
+    from leanboom import folders, reproduction, results
 
     wanted = reproduction.names(names or [])
-    with Progress(steps=True) as tell:
+    page_folder = out if docs is None else docs
+    with Progress(steps=True) as tell, folders.opened(out, page_folder):
         result = reproduction.reproduce(wanted, out, progress=tell)
         tell("writing the page", 1.0)
-        page = results.write_page(result, out if docs is None else docs)
+        page = results.write_page(result, page_folder)
     if as_json:
         print_json(result.json())
     else:
