@@ -194,3 +194,81 @@ def test_the_folder_is_as_readable_as_any_other(plan, tmp_path):
     (tmp_path / "plain").mkdir()
     out = runfolder.write(plan, tmp_path / "run")
     assert out.stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def _rows(run, change):
+    """Rewrite a run folder's samples, [time, length, velocity] each, as text."""
+    with (run / "trajectory.csv").open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.reader(stream))
+    at = [rows[0].index(name) for name in ("time_s", "extension_cylinder_m", "extension_cylinder_m_s")]
+    for i, row in enumerate(rows[1:]):
+        for j, value in zip(at, change(i, *(row[j] for j in at)), strict=True):
+            row[j] = value
+    with (run / "trajectory.csv").open("w", newline="", encoding="utf-8") as stream:
+        csv.writer(stream).writerows(rows)
+
+
+EDITED = {
+    "a time of NaN": (lambda i, t, x, v: ("nan" if i == 9 else t, x, v), r"line 11 lacks finite numbers in time_s"),
+    "velocities of NaN": (lambda i, t, x, v: (t, x, "NaN"), "line 2 lacks finite numbers"),
+    "an infinite length": (lambda i, t, x, v: (t, "inf", v), "line 2 lacks finite numbers"),
+    "text": (lambda i, t, x, v: (t, x, "fast" if i == 3 else v), "line 5 lacks finite numbers"),
+    "a field too long": (lambda i, t, x, v: (t, x, "1" * 140_000 if i == 3 else v), "lacks finite numbers"),
+    "times of zero": (lambda i, t, x, v: ("0", x, v), "times must rise evenly from 0"),
+    "falling times": (lambda i, t, x, v: (str(6.0 - float(t)), x, v), "times must rise evenly from 0"),
+    "negative times": (lambda i, t, x, v: (str(-float(t)), x, v), "times must rise evenly from 0"),
+    "a time twice": (lambda i, t, x, v: ("0.01" if i == 6 else t, x, v), r"time_s = 0.01 s in sample 6; times must"),
+    "half the time": (lambda i, t, x, v: (str(0.5 * float(t)), x, v), "ends at 3 s; the task ends at 6 s"),
+    "another length": (
+        lambda i, t, x, v: (t, "0.3" if i == 50 else x, v),
+        r"extension_cylinder_m = 0.3 m at 0.1 s; the velocities before lead to 0.6713 m",
+    ),
+    "immense velocities": (lambda i, t, x, v: (t, x, "1e308"), r"the velocities before lead to"),
+}
+
+
+@pytest.mark.parametrize(("change", "message"), EDITED.values(), ids=EDITED)
+def test_edited_trajectories_are_refused_with_the_reason(plan, tmp_path, change, message):
+    """Some ended in a traceback, others were accepted and refused later: "position of lift is nan"."""
+    run = runfolder.write(plan, tmp_path / "run")
+    assert runfolder.read(run)[1].position == pytest.approx(plan.motion.position[0])
+    _rows(run, change)
+    with pytest.raises(InputError, match=message) as refusal:
+        runfolder.read(run)
+    assert str(refusal.value).startswith(f"{run / 'trajectory.csv'}: ")
+
+
+@pytest.mark.parametrize("content", ["time_s,extension_cylinder_m,extension_cylinder_m_s\n0,0,0\n", "", "a,b\n1,2\n"])
+def test_trajectories_without_samples_are_refused(plan, tmp_path, content):
+    run = runfolder.write(plan, tmp_path / "run")
+    (run / "trajectory.csv").write_text(content, encoding="utf-8")
+    with pytest.raises(InputError, match=r"trajectory.csv: .* plan again"):
+        runfolder.read(run)
+
+
+def test_huge_trajectories_are_refused_before_they_are_read(plan, tmp_path):
+    run = runfolder.write(plan, tmp_path / "run")
+    with (run / "trajectory.csv").open("ab") as stream:
+        stream.truncate(runfolder.MAX_TRAJECTORY + 1)
+    with pytest.raises(InputError, match=r"trajectory.csv: is above 512 MiB"):
+        runfolder.read(run)
+
+
+@pytest.mark.parametrize("content", ["[" * 100_000, '{"a":' * 100_000, "{} " * 600_000, "1" * 5000])
+def test_summaries_that_are_none_are_refused(plan, tmp_path, content):
+    """Deep nesting ended in a RecursionError."""
+    run = runfolder.write(plan, tmp_path / "run")
+    (run / "summary.json").write_text(content, encoding="utf-8")
+    with pytest.raises(InputError, match="is not a run folder"):
+        runfolder.read(run)
+    with pytest.raises(InputError, match="was not written by leanboom"):
+        runfolder.check(run)
+
+
+@pytest.mark.parametrize(("key", "value"), [("pump", "gas"), ("pump", ["ls"]), ("method", None), ("cost", 1.0)])
+def test_summaries_with_wrong_words_are_refused(plan, tmp_path, key, value):
+    run = runfolder.write(plan, tmp_path / "run")
+    found = json.loads((run / "summary.json").read_text(encoding="utf-8"))
+    (run / "summary.json").write_text(json.dumps(found | {key: value}), encoding="utf-8")
+    with pytest.raises(InputError, match=rf"summary.json: {key} = .*; must be "):
+        runfolder.read(run)

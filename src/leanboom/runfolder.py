@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from leanboom import folders, simulation_page
 from leanboom.errors import InputError
+from leanboom.source import shortened
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,6 +34,10 @@ SUMMARY, TASK, MACHINE, TRAJECTORY, REPORT = FILES = (
     "report.html",
 )
 ALLOWED = (*FILES, *simulation_page.FILES)  # what a simulation adds is kept by `simulate` alone
+MAX_SUMMARY, MAX_TRAJECTORY = 2**20, 2**29  # [bytes]
+TOLERANCE = 1e-3  # of a sample's time, as a share of the step, and of the end, as a share of the duration
+APART = 2e-3  # [m], between a length and what the velocities before it lead to
+PUMPS = ("ls", "cp")
 KEYS = (
     "task",
     "machine",
@@ -157,11 +162,17 @@ def _is_run_folder(folder: Path) -> bool:
     entries = list(folder.iterdir())
     if any(path.name not in ALLOWED or path.is_symlink() or not path.is_file() for path in entries):
         return False
+    return tuple(_kept(folder)) == KEYS
+
+
+def _kept(folder: Path) -> dict[str, Any]:
+    """What stands in a folder's summary; nothing where it is none."""
     try:
-        found = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    return isinstance(found, dict) and tuple(found) == KEYS
+        with (folder / SUMMARY).open("rb") as stream:
+            found = json.loads(stream.read(MAX_SUMMARY))  # of a longer file the end is missing, and it is none
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def write(plan: Plan, out: Path, grid: tuple[int, int] | None = None, simulation: Simulation | None = None) -> Path:
@@ -226,7 +237,6 @@ def read(run: Path) -> tuple[Task, Motion, str]:
     Raises:
         InputError: It is no run folder, or its files do not fit together.
     """
-    import csv
     from dataclasses import replace
 
     import numpy as np
@@ -236,21 +246,63 @@ def read(run: Path) -> tuple[Task, Motion, str]:
     with folders.explained(run, "run", "cannot be read"):
         if not run.is_dir() or not _is_run_folder(run):
             raise InputError(f"run = {run}; is not a run folder: make one with leanboom plan TASK --out DIR")
-        kept = json.loads((run / SUMMARY).read_text(encoding="utf-8"))
-        with (run / TRAJECTORY).open(encoding="utf-8", newline="") as stream:
-            rows = csv.DictReader(stream)
-            wanted = ("time_s", "extension_cylinder_m", "extension_cylinder_m_s")
-            try:
-                time, position, velocity = np.array([[float(row[name]) for name in wanted] for row in rows]).T
-            except (KeyError, TypeError, ValueError):
-                raise InputError(f"run = {run}; {TRAJECTORY} lacks numbers in {', '.join(wanted)}") from None
+        kept = _kept(run)
+        time, position, velocity = _samples(run / TRAJECTORY)
+    for key, valid in (("pump", PUMPS), ("method", None), ("cost", None)):
+        if not isinstance(kept[key], str) or (valid and kept[key] not in valid):
+            allowed = f"one of {', '.join(valid)}" if valid else "a name"
+            raise _damaged(run / SUMMARY, f"{key} = {shortened(str(kept[key]), 100)}; must be {allowed}")
     # What was filtered before it was judged is not filtered again.
     task = replace(files.load_task(run / TASK), smooth=None)
-    if time.size < 2 or kept["pump"] not in ("ls", "cp"):
-        raise InputError(f"run = {run}; {TRAJECTORY} or {SUMMARY} is damaged: plan again")
-    step = float(time[-1]) / (time.size - 1)
-    found = motion.from_velocities(step, float(position[0]), velocity, str(kept["method"]), str(kept["cost"]))
-    return task, found, kept["pump"]
+    if abs(time[-1] - task.duration) > TOLERANCE * task.duration:
+        raise _damaged(run / TRAJECTORY, f"ends at {time[-1]:g} s; the task ends at {task.duration:g} s")
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = motion.from_velocities(
+            time[-1] / (time.size - 1), position[0], velocity, str(kept["method"]), str(kept["cost"])
+        )
+        apart = np.abs(found.position - position)
+    if not np.all(apart <= APART):
+        k = int(np.argmax(~(apart <= APART)))
+        raise _damaged(
+            run / TRAJECTORY,
+            f"extension_cylinder_m = {position[k]:g} m at {time[k]:g} s; the velocities before lead to "
+            f"{found.position[k]:g} m",
+        )
+    return task, found, str(kept["pump"])
+
+
+def _samples(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times [s], and lengths [m] and velocities [m/s] of the redundant cylinder, (samples,), as a file has them."""
+    import csv
+
+    import numpy as np
+
+    wanted = ("time_s", "extension_cylinder_m", "extension_cylinder_m_s")
+    if path.stat().st_size > MAX_TRAJECTORY:
+        raise _damaged(path, f"is above {MAX_TRAJECTORY // 2**20} MiB")
+    numbers: list[list[float]] = []
+    with path.open(encoding="utf-8", newline="") as stream:
+        rows = csv.DictReader(stream)
+        try:
+            for row in rows:
+                numbers.append([float(row[name]) for name in wanted])
+                if not all(map(math.isfinite, numbers[-1])):
+                    raise ValueError
+        except (KeyError, TypeError, ValueError, csv.Error):
+            raise _damaged(path, f"line {rows.line_num} lacks finite numbers in {', '.join(wanted)}") from None
+    if len(numbers) < 2:
+        raise _damaged(path, "needs two samples or more")
+    time, position, velocity = np.array(numbers).T
+    step = time[-1] / (time.size - 1)
+    uneven = np.abs(time - step * np.arange(time.size)) > TOLERANCE * step
+    if step <= 0.0 or np.any(uneven):
+        k = int(np.argmax(uneven))
+        raise _damaged(path, f"time_s = {time[k]:g} s in sample {k}; times must rise evenly from 0")
+    return time, position, velocity
+
+
+def _damaged(path: Path, problem: str) -> InputError:
+    return InputError(f"{path}: {problem}: the file was changed or damaged; plan again")
 
 
 def trajectory(evaluation: Evaluation) -> str:
