@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -393,3 +394,37 @@ def test_what_a_machine_says_of_the_simulation_counts_and_the_rest_follows_its_v
     assert "  delay: 20 ms  # identified: step of the valve\n" in dump_machine(machine)
     changed = replace(machine, circuit=replace(machine.circuit, bulk_modulus=1.2e9))
     assert load_machine(Path(written(tmp_path, dump_machine(changed)))).circuit == changed.circuit
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        ("yard.v2.yaml", "yard-v2"),
+        ("my task (1).yaml", "my-task-1"),
+        ("K\u00fcbel \u00d8 [\u00e4lt].yaml", "Kubel-alt"),
+        ("._-draft.yaml", "draft"),
+        (f"{'x' * 100}.yaml", "x" * 64),
+    ],
+)
+def test_any_file_name_gives_a_name_that_can_be_written_again(tmp_path, file, name):
+    """Such files were planned, and refused when the run folder was written."""
+    task, machine = load_task("forwarder-vertical"), load_machine("forwarder")
+    for text in (dump_task(task, f"M {file}"), dump_machine(machine)):
+        own = re.sub(r"^name: .*\n", "", text, flags=re.MULTILINE)
+        assert own != text
+        (tmp_path / (f"M {file}" if "geometry" in own else file)).write_text(own, encoding="utf-8")
+    loaded = load_task(tmp_path / file)
+    assert loaded.name == name and loaded.machine.name.startswith("M-")
+    (tmp_path / "machine.yaml").write_text(dump_machine(loaded.machine), encoding="utf-8")
+    (tmp_path / "task.yaml").write_text(dump_task(loaded), encoding="utf-8")
+    assert load_task(tmp_path / "task.yaml") == loaded
+
+
+@pytest.mark.parametrize("file", ["\u65e5\u672c.yaml", "---.yaml"])
+def test_a_file_name_without_letters_needs_a_name_inside(tmp_path, file):
+    text = dump_task(load_task("forwarder-vertical"), "forwarder")
+    (tmp_path / file).write_text(text, encoding="utf-8")
+    assert load_task(tmp_path / file).name == "forwarder-vertical"
+    (tmp_path / file).write_text(text.replace("name: forwarder-vertical\n", ""), encoding="utf-8")
+    with pytest.raises(InputError, match=r"name is missing, and the file's name has no letter or digit"):
+        load_task(tmp_path / file)

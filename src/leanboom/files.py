@@ -64,7 +64,7 @@ def load_machine(name_or_path: str | Path) -> Machine:
         InputError: There is no such machine, or its file has problems; all of them are named.
     """
     path, source = _open("machine", name_or_path)
-    return _machine(source, path.stem)
+    return _machine(source, path)
 
 
 def load_task(name_or_path: str | Path, *, start: str | float | None = None) -> Task:
@@ -89,6 +89,7 @@ def load_task(name_or_path: str | Path, *, start: str | float | None = None) -> 
     keys = _validated(TaskKeys, source)
     machine, others = _machine_of(source, path.parent)
     check_task(source, machine)
+    name = _name(keys, source, path)
     source.report(*others)
     assert isinstance(keys, TaskKeys) and machine is not None  # else reported
     path_keys = keys.path
@@ -97,7 +98,7 @@ def load_task(name_or_path: str | Path, *, start: str | float | None = None) -> 
     else:
         tool_path = Spline(path_keys.points, path_keys.times)
     return Task(
-        name=keys.name or path.stem,
+        name=name,
         machine=machine,
         path=tool_path,
         payload=keys.payload,
@@ -167,7 +168,7 @@ def _machine_of(source: Source, folder: Path) -> tuple[Machine | None, tuple[str
         return None, ()
     path, name = found
     try:
-        return _machine(read(path, name), path.stem), ()
+        return _machine(read(path, name), path), ()
     except InputError as error:
         return None, (str(error),)
 
@@ -205,18 +206,19 @@ def _choices(kind: str, wanted: str) -> str:
     return f"must be a file or a bundled {kind}: {suggestion(wanted[:200], _bundled(f'{kind}s'))}"
 
 
-def _machine(source: Source, stem: str) -> Machine:
+def _machine(source: Source, path: Path) -> Machine:
     """The machine of a file that was read."""
     from leanboom.consistency import check_machine
     from leanboom.schema import MachineKeys
 
     keys = _validated(MachineKeys, source)
     check_machine(source)
+    name = _name(keys, source, path)
     source.report()
     assert isinstance(keys, MachineKeys)  # else reported
     names = [name for name in type(keys.joints).model_fields if getattr(keys.joints, name) is not None]
     return Machine(
-        name=keys.name or stem,
+        name=name,
         description=keys.description,
         geometry=Geometry(**keys.geometry.model_dump()),
         joints=tuple(Joint(name, *getattr(keys.joints, name)) for name in names),
@@ -233,6 +235,16 @@ def _machine(source: Source, stem: str) -> Machine:
         circuit=replace(circuit_defaults(keys.valve.type), **keys.simulation.model_dump(exclude_none=True)),
         provenance=_provenance(source),
     )
+
+
+def _name(keys: Section | None, source: Source, path: Path) -> str:
+    """The name that a file gives, or one made of its own name; that neither does is noted as a problem."""
+    from leanboom.rules import Name
+
+    name = getattr(keys, "name", None) or Name.made_of(path.stem)
+    if not name:
+        source.add(("name",), f" is missing, and the file's name has no letter or digit to make one of; {Name.allowed}")
+    return name
 
 
 def _cylinder(name: str, keys: CylinderKeys) -> Cylinder:

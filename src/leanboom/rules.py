@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from difflib import get_close_matches
 from typing import Any, LiteralString, get_args
+from unicodedata import combining, normalize
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
@@ -218,6 +219,12 @@ class Name(Rule):
         if not isinstance(value, str) or not re.fullmatch(self.pattern, value):
             raise refusal(self.allowed)
         return value
+
+    @staticmethod
+    def made_of(text: str) -> str:
+        """The name nearest to a text: letters without their marks, '-' for the rest; empty where nothing is left."""
+        letters = "".join(c for c in normalize("NFKD", text) if not combining(c))
+        return re.sub("[^A-Za-z0-9_-]+", "-", letters).strip("-_")[:64]
 
     def described(self, schema: dict[str, Any]) -> dict[str, Any]:
         """The same as a pattern."""

@@ -432,7 +432,7 @@ class MachineKeys(Section):
     """A machine file."""
 
     name: Identifier | None = None
-    """By default the file's name without its ending."""
+    """By default made of the file's name without its ending."""
     description: Words = ""
     geometry: GeometryKeys
     joints: JointKeys
@@ -476,7 +476,7 @@ class TaskKeys(Section):
     """A task file."""
 
     name: Identifier | None = None
-    """By default the file's name without its ending."""
+    """By default made of the file's name without its ending."""
     machine: Words
     """A bundled machine's name, or a machine file, relative to the task file."""
     payload: Payload
