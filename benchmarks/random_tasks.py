@@ -56,7 +56,9 @@ def has_motion(task: Task) -> bool:
         policy = dp.solve(problem, stages.full_grid(problem, 101, 51), "cp")
         start = dp.start_position(problem, task.start)
         coarse = lb.evaluate(task, dp.rollout(policy, problem.lower[0] if start is None else start))
-        return coarse.feasible or planner.run(task, method="sns-actuator", baseline=False).evaluation.feasible
+        return (
+            coarse.feasible or planner.run(task, method="sns-actuator", baseline=False, check=False).evaluation.feasible
+        )
     except lb.InfeasibleError:
         return False
 
@@ -77,12 +79,12 @@ def main() -> None:
             empty += 1
             continue
         for pump in ("ls", "cp"):
-            plan = planner.run(task, pump=pump, baseline=False)
+            plan = planner.run(task, pump=pump, baseline=False, check=False)
             ours = plan.evaluation.energy(pump) if plan.evaluation.feasible else np.inf
             best, winner = np.inf, ""
             for method in methods:
                 try:
-                    other = planner.run(task, pump=pump, method=method, baseline=False).evaluation
+                    other = planner.run(task, pump=pump, method=method, baseline=False, check=False).evaluation
                 except lb.LeanboomError:
                     continue
                 if other.feasible and other.energy(pump) < best:

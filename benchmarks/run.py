@@ -131,12 +131,12 @@ def energies() -> None:
         for start in STARTS:
             task = replace(lb.load_task(name), start=start)
             for pump in ("ls", "cp"):
-                plan = planner.run(task, pump=pump, baseline=False)
+                plan = planner.run(task, pump=pump, baseline=False, check=False)
                 ours = plan.evaluation.energy(pump)
                 cells, others = [], []
                 for method in BASELINES:
                     try:
-                        other = planner.run(task, pump=pump, method=method, baseline=False).evaluation
+                        other = planner.run(task, pump=pump, method=method, baseline=False, check=False).evaluation
                         cells.append(f"{other.energy(pump) / 1e3:.2f}{'' if other.feasible else '(!)'}")
                         others += [other.energy(pump)] if other.feasible else []
                     except lb.LeanboomError:
@@ -159,14 +159,17 @@ def vertical() -> None:
     problem = stages.discretise(task, 0.05)
     for pump in ("cp", "ls"):
         rows = [
-            ("actuator pseudo-inverse", planner.run(task, pump=pump, method="sns-actuator", baseline=False).evaluation)
+            (
+                "actuator pseudo-inverse",
+                planner.run(task, pump=pump, method="sns-actuator", baseline=False, check=False).evaluation,
+            )
         ]
         for grid in ((201, 101), GRID, (801, 201)):
             policy = dp.solve(problem, stages.full_grid(problem, *grid), pump)
             rows.append(
                 (f"dynamic program {grid[0]}x{grid[1]} alone", lb.evaluate(task, dp.rollout(policy, problem.lower[0])))
             )
-        plan = planner.run(task, pump=pump, baseline=False).evaluation
+        plan = planner.run(task, pump=pump, baseline=False, check=False).evaluation
         rows.append(("planner: + tubes + polish", plan))
         for name, judged in rows:
             use = judged.limit_use
@@ -180,7 +183,7 @@ def algorithm_1() -> None:
     title("forwarder-vertical by dp-paper (Algorithm 1, 356 x 101 x 151), start smallest")
     task = lb.load_task("forwarder-vertical")
     for pump in ("cp", "ls"):
-        plan = planner.run(task, pump=pump, method="dp-paper", baseline=False)
+        plan = planner.run(task, pump=pump, method="dp-paper", baseline=False, check=False)
         print(
             f"{pump}: {plan.evaluation.energy(pump) / 1e3:.2f} kJ in {plan.motion.solve_s:.0f} s, {plan.motion.status}"
         )
@@ -191,7 +194,7 @@ def convergence() -> None:
     task = replace(lb.load_task("forwarder-vertical"), start="middle")
     problem = stages.discretise(task, 0.05)
     start = dp.start_position(problem, "middle")
-    exact = judged_cost(planner.run(task, pump="cp", baseline=False).evaluation, "cp")
+    exact = judged_cost(planner.run(task, pump="cp", baseline=False, check=False).evaluation, "cp")
     sizes, errors = [], []
     for n in (1, 2, 4, 8, 16):
         grid = (25 * n + 1, 24 * n + 1)
@@ -208,7 +211,7 @@ def simulation() -> None:
     title("Closed-loop simulation, warm, one thread")
     for name in ("forwarder-half-cycle", "loader-triangle-large"):
         task = lb.load_task(name)
-        motion = planner.run(task, method="sns-actuator", baseline=False).motion
+        motion = planner.run(task, method="sns-actuator", baseline=False, check=False).motion
         began = time.perf_counter()
         lb.simulate(task, motion, "ls")
         first = time.perf_counter() - began

@@ -21,7 +21,7 @@ def main():
     plan = lb.run(task, pump="ls", grid=GRID, step=STEP)
     mine, today = plan.evaluation, plan.baseline
     print(f"planned: {mine.energy_ls / 1e3:.2f} kJ, pseudo-inverse: {today.energy_ls / 1e3:.2f} kJ (LS pump)")
-    print(f"saved: {1 - mine.energy_ls / today.energy_ls:.0%}; status: {mine.status}")
+    print(f"saved: {plan.saving():.0%}; status: {plan.status}")
     use = mine.limit_use
     print(f"limits used: position {use.position:.0%}, velocity {use.velocity:.0%}, acceleration {use.acceleration:.0%}")
 

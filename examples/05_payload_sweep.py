@@ -16,7 +16,7 @@ def main():
         plan = lb.run(replace(task, payload=payload), pump="ls", grid=GRID, step=STEP)
         mine, today = plan.evaluation, plan.baseline
         supply = mine.supply_ls.max() / 1e6
-        saved = 1 - mine.energy_ls / today.energy_ls
+        saved = plan.saving()
         print(f"{payload:12.0f} {mine.energy_ls / 1e3:8.2f} {today.energy_ls / 1e3:15.2f} {saved:6.0%} {supply:24.1f}")
         for note in mine.notes:
             print("   ", note)

@@ -214,8 +214,30 @@ def test_collocation_and_polish_agree_on_a_short_smooth_task(task, cost):
 def test_an_unfinished_solve_is_no_result(task, monkeypatch):
     monkeypatch.setitem(direct.IPOPT, "max_iter", 1)
     motion = collocation.plan(task, "cp", start_of(task))
-    assert motion.status.startswith("not converged: Maximum_Iterations_Exceeded after 1 iterations")
+    assert motion.status.startswith("not converged: the iterations were used up (1 iterations, ")
     assert len(motion.log) == len(collocation.LEVELS["cp"])
+    assert all("Maximum_Iterations_Exceeded" in line for line in motion.log)  # the solver's own word
+
+
+class Refusing:
+    """A solver that is given what it cannot use."""
+
+    def __call__(self, **given):
+        raise RuntimeError(
+            'Error in Function::call at function.cpp:330:\n\tassertion "lbx <= ubx" failed:\nNaN detected'
+        )
+
+    def size1_in(self, name):
+        return 5
+
+
+def test_what_casadi_refuses_is_told_in_plain_words():
+    """Its assertion, lines with file names, once stood in the table of `compare` and ended `plan` in a traceback."""
+    bounds, rows = (np.zeros((3, 2)), np.ones((3, 2))), (np.zeros((3, 1)), np.ones((3, 1)))
+    answer = direct.optimise(Refusing(), np.full((3, 2), np.nan), np.zeros((3, 1)), bounds, rows)
+    assert not answer.converged and np.all(np.isfinite(answer.values))
+    assert answer.text == direct.UNUSABLE
+    assert "assertion" in answer.raw and "\n" not in answer.raw
 
 
 def test_the_best_level_that_converged_is_kept(task, monkeypatch):

@@ -28,6 +28,7 @@ FATES = {
     "shooting (ls)": LeanboomError("not converged: Maximum_Iterations_Exceeded after 300 iterations"),
     "shooting (cp)": ValueError("a bug"),
 }
+WEAK = "limits kept, but the pump cannot deliver it: 132.1 l/min at 3.214 s, the pump gives 100.0 l/min"
 METHODS = ["shooting", "sns-actuator", "polish", "dp:cp", "dp:ls"]
 
 
@@ -169,6 +170,51 @@ def test_people_get_a_table_with_the_reasons(faked):
     assert any("not converged: Maximum_Iterations_Exceeded" in line for line in answer.stdout.splitlines())
 
 
+@pytest.fixture
+def weak(monkeypatch):
+    """One method is too much for the pump."""
+    monkeypatch.setitem(FATES, "dp (ls)", WEAK)
+
+
+def test_what_the_pump_cannot_deliver_is_no_best_row_and_no_failure(faked, weak, task):
+    result = lb.compare(task, methods=METHODS)
+    block = result.block("ls", "smallest")
+    assert labels(block)[:5] == ["polish (ls)", "dp (cp)", "polish (cp)", "dp (ls)", "sns-actuator"]
+    best = result.best("ls", "smallest")
+    assert best is not None and best.label == "polish (ls)"
+    assert block[3].feasible and not block[3].solved and not block[4].feasible
+    answer = leanboom("compare", "forwarder-vertical", "--methods", "dp:ls", "--pump", "ls")
+    assert answer.exit_code == 0
+    assert WEAK in answer.stderr and WEAK in answer.stdout and "beyond the pump" in answer.stdout
+    assert "9.00" in answer.stdout and "1.000" not in answer.stdout  # no ratio, no best
+    assert figures.energies(result) != figures.energies(lb.compare(task, methods=["polish", "sns-actuator"]))
+
+
+def test_a_motion_for_one_pump_alone_is_marked_in_both_bars(task):
+    """Its label is one: the bars of a motion that one of the pumps cannot deliver once had different names."""
+    still = motion.from_velocities(0.1, 0.5, np.zeros(61), "dp", "ls")
+    made = [
+        comparison.Row(Entry("dp", "ls"), pump, "smallest", {"energy_j": 5e3, "status": status, "solve_s": 1.0}, still)
+        for pump, status in (("ls", WEAK), ("cp", "solved"))
+    ]
+    result = comparison.Comparison(task, ("ls", "cp"), ("smallest",), tuple(made))
+    assert figures.energies(result).startswith(b"\x89PNG") and figures.trajectories(result).startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("width", [50, 30])
+def test_a_narrow_terminal_cuts_no_number(faked, task, width):
+    """At 50 columns the table once ended in an ellipsis in place of energies and times."""
+    result = lb.compare(task, methods=METHODS)
+    text = io.StringIO()
+    outcomes.comparison(Console(file=text, width=width), result, None)
+    assert "…" not in text.getvalue()
+    words = text.getvalue().split()
+    for row in result.rows:
+        assert row.energy is None or f"{row.energy / 1e3:.2f}" in words
+        assert row.label.split()[0] in words
+    assert BROKEN.rsplit(maxsplit=1)[-1] + "." in words
+
+
 def test_without_a_feasible_row_the_exit_code_says_so(faked):
     answer = leanboom("compare", "forwarder-vertical", "--methods", "sns-actuator")
     assert answer.exit_code == 1
@@ -205,7 +251,7 @@ def test_solving_calls_the_planner_as_plan_does(monkeypatch, task):
 
     monkeypatch.setattr(comparison.planner, "run", run)
     found, made = comparison.solve((task, Entry("sns-joint", "joint-velocity"), ("ls", "cp"), False))
-    assert called == [{"pump": "ls", "cost": None, "method": "sns-joint", "baseline": False}]
+    assert called == [{"pump": "ls", "cost": None, "method": "sns-joint", "baseline": False, "check": False}]
     assert made is judged.motion
     assert found["cp"]["energy_j"] == judged.energy_cp and found["ls"]["energy_j"] == judged.energy_ls
     assert found["ls"]["cost"] == "joint-velocity"

@@ -304,10 +304,78 @@ def test_notes_say_what_the_pump_cannot_do():
     weak = replace(LOADER.pump, max_flow=1.0 / 6e4, max_pressure=3e6)
     judged = evaluate(replace(task, machine=replace(task.machine, pump=weak)), motion)
     flow, pressure = judged.notes
-    assert flow == f"pump flow {plain.pump_flow.max() * 6e4:.1f} l/min at 5.000 s is above the pump's 1.0 l/min"
+    most = f"{plain.pump_flow.max() * 6e4:.1f} l/min at 5.000 s"
+    above = plain.time[plain.pump_flow > 1.001 / 6e4]
+    lasts = f"for {SAMPLE * above.size:.3f} s between {above[0]:.3f} s and {above[-1]:.3f} s"
+    assert flow == f"pump flow {most} is above the pump's 1.0 l/min, {lasts}"
     assert pressure.startswith(f"LS supply {plain.supply_ls.max() / 1e6:.2f} MPa at ")
-    assert pressure.endswith(" s is above the pump's 3.00 MPa")
+    assert " s is above the pump's 3.00 MPa, for " in pressure
     assert judged.feasible
+
+
+def weakened(task, **pump):
+    return replace(task, machine=replace(task.machine, pump=replace(task.machine.pump, **pump)))
+
+
+def test_a_motion_that_the_pump_cannot_deliver_is_not_solved():
+    """Limits are kept, but a real pump would starve: what, how much, when and for how long stands in the status."""
+    task, motion, _ = along_the_boom(1.5, -0.9)
+    plain = evaluate(task, motion)
+    assert plain.status == "solved" and plain.deliverable
+    judged = evaluate(weakened(task, max_flow=0.5 * float(plain.pump_flow.max())), motion)
+    assert judged.feasible and not judged.deliverable
+    most = plain.pump_flow.max() * 6e4
+    assert judged.status.startswith(
+        f"limits kept, but the pump cannot deliver it: {most:.1f} l/min at 5.000 s, the pump gives "
+        f"{0.5 * most:.1f} l/min; exceeded for "
+    )
+    assert judged.status_with("ls") == judged.status_with("cp") == judged.status
+    assert repr(judged).startswith(f"NOT SOLVED: {judged.status}. Evaluation(slide, slide: LS ")
+
+
+def test_each_pump_has_a_pressure_of_its_own_to_keep():
+    """A load-sensing supply above the pump's highest pressure is nothing to a constant-pressure pump."""
+    task, motion, _ = along_the_boom(1.5, -0.9)
+    load = float(evaluate(task, motion).pressure.max())
+    low = evaluate(weakened(task, max_pressure=load + 1e6), motion)  # the margin is 2 MPa
+    assert low.status_with("cp") == "solved"
+    assert low.status_with("ls").startswith(
+        f"limits kept, but the pump cannot deliver it: LS supply {1e-6 * load + 2.0:.2f} MPa at "
+    )
+    weak = evaluate(weakened(task, constant_pressure=load - 1e6), motion)
+    assert weak.status_with("ls") == "solved"
+    assert f"load pressure {1e-6 * load:.2f} MPa at " in weak.status_with("cp")
+    # The pump that a motion was planned for decides what its status says.
+    assert low.status != "solved" and weak.status == "solved"
+    planned = evaluate(weak.task, replace(motion, cost="cp"))
+    assert planned.status == weak.status_with("cp") and not planned.deliverable
+
+
+@pytest.mark.parametrize("share", [1.0, 0.1])
+def test_load_sensing_energy_that_leaves_out_the_work_is_remarked_upon(share):
+    """Slower than the driven velocity, a cylinder lifts its load for the margin alone: eq. (41), not a real pump."""
+    task, motion, distance = along_the_boom(1.5, -0.9)
+    slow = weakened(replace(task, machine=replace(task.machine, driven_velocity=0.2 * share)), ls_margin=0.0)
+    judged = evaluate(slow, motion)
+    lifted = MASS * LOADER.gravity * distance * sin(0.6)
+    peak = 1.875 * distance / 10.0
+    if 0.2 * share > peak:  # never driven
+        assert judged.energy_ls == 0.0
+        (note,) = judged.notes
+        assert note == (
+            f"the load-sensing energy of 0.00 kJ leaves out {1e-3 * lifted:.2f} kJ of work that cylinders do against "
+            "their loads at no more than 200 mm/s, where loads do not count (driven_velocity); a constant-pressure "
+            f"pump takes {1e-3 * judged.energy_cp:.2f} kJ"
+        )
+    else:  # driven most of the way
+        assert judged.notes == ()
+
+
+def test_a_lowered_load_at_any_speed_is_no_reason_for_a_remark():
+    task, motion, _ = along_the_boom(1.5, -0.9)
+    task = replace(task, path=Lines(task.path.points[::-1], task.path.durations))
+    down = from_velocities(SAMPLE, 0.9, -motion.velocity, "slide", "ls")
+    assert evaluate(replace(task, machine=replace(task.machine, driven_velocity=0.2)), down).notes == ()
 
 
 # Smoothing

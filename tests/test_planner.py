@@ -173,7 +173,7 @@ def test_a_path_too_close_to_the_base_names_the_joint():
 
 def test_a_path_too_fast_names_limit_time_and_a_duration_that_works():
     fast = moved_in_time(1.2)
-    result = planner.run(fast, pump="cp", grid=(61, 41), step=0.05)
+    result = planner.run(fast, pump="cp", grid=(61, 41), step=0.05, check=False)
     assert not result.evaluation.feasible
     status = result.motion.status
     assert status == result.evaluation.status == result.evaluation.violations[0]
@@ -184,7 +184,7 @@ def test_a_path_too_fast_names_limit_time_and_a_duration_that_works():
     assert 1.2 < seconds < 6.0
     assert_good(planner.run(moved_in_time(seconds), pump="cp", grid=(61, 41), step=0.05).evaluation)
     # And it is about the shortest one.
-    shorter = planner.run(moved_in_time(0.85 * seconds), pump="cp", grid=(61, 41), step=0.05)
+    shorter = planner.run(moved_in_time(0.85 * seconds), pump="cp", grid=(61, 41), step=0.05, check=False)
     assert not shorter.evaluation.feasible
     # `plan` raises that sentence, or returns the motion with it.
     with pytest.raises(InfeasibleError) as error:
@@ -262,3 +262,47 @@ def test_golden_numbers(machine):
     assert found["numbers"].keys() == golden["numbers"].keys()
     for method, numbers in golden["numbers"].items():
         assert found["numbers"][method] == pytest.approx(numbers, rel=golden["tolerance"]), method
+
+
+# Motions that are no solution
+
+
+@pytest.fixture(scope="module")
+def hurried():
+    """The vertical path in a third of its time, planned by the pseudo-inverse: it breaks limits."""
+    fast = planner.slower(VERTICAL, 0.3)
+    return fast, planner.run(fast, method="sns-actuator", check=False)
+
+
+def test_running_raises_as_planning_does_and_hands_over_the_best_motion(hurried):
+    """`run` once returned such plans without a word, and sweeps plotted them."""
+    fast, _ = hurried
+    with pytest.raises(InfeasibleError) as error:
+        planner.run(fast, method="sns-actuator")
+    found = error.value.plan
+    assert isinstance(found, planner.Plan) and found.evaluation is error.value.evaluation
+    assert str(error.value) == found.status and not found.solved
+    assert np.isfinite(found.evaluation.energy_ls)
+
+
+def test_a_plan_that_breaks_a_limit_says_so_and_saves_nothing(hurried):
+    _, plan = hurried
+    assert plan.baseline is not None and plan.evaluation.energy_ls > 0.0
+    assert not plan.solved and plan.status == plan.evaluation.violations[0]
+    assert plan.saving() is plan.saving("ls") is plan.saving("cp") is None
+    assert repr(plan).startswith(f"NOT SOLVED: {plan.status}. Plan(ls, ")
+    assert repr(plan.motion).startswith("NOT SOLVED: ")
+
+
+def test_a_plan_too_much_for_the_pump_saves_nothing_but_is_no_error():
+    """Limits are kept, so nothing is raised; yet a motion nobody can drive is no saving."""
+    machine = VERTICAL.machine
+    weak = replace(VERTICAL, machine=replace(machine, pump=replace(machine.pump, max_flow=5.0 / 6e4)))
+    plan = planner.run(weak, method="sns-actuator")
+    assert plan.evaluation.feasible and not plan.solved and plan.saving() is None
+    assert plan.status == plan.motion.status
+    assert plan.status.startswith("limits kept, but the pump cannot deliver it: ")
+    assert repr(plan).startswith("NOT SOLVED: limits kept, ")
+    strong = planner.run(VERTICAL, method="sns-actuator")
+    assert strong.solved and strong.saving() == pytest.approx(0.0, abs=1e-9)
+    assert strong.saving("cp") == pytest.approx(0.0, abs=1e-9) and repr(strong).startswith("Plan(ls, ")

@@ -150,6 +150,16 @@ def test_an_infeasible_plan_says_so(task):
     assert "Limit broken: velocity of lift is" in text
 
 
+def test_a_plan_too_much_for_the_pump_has_no_green_badge(task):
+    """It once read `All limits kept`, with the missing flow in a note below."""
+    weak = replace(task, machine=replace(task.machine, pump=replace(task.machine.pump, max_flow=5.0 / 6e4)))
+    plan = made(weak)
+    text = report.page(plan)
+    assert 'class="badge bad">Limits kept, but the pump cannot deliver it<' in text
+    assert 'class="badge good"' not in text and "All limits kept" not in text and "Saving" not in text
+    assert "plan (not solved)" in text and plan.status.replace("'", "&#x27;") in text
+
+
 def test_a_motion_the_crane_cannot_reach_still_makes_a_page(task):
     plan = made(task, plan=0.1)
     assert not plan.evaluation.followed

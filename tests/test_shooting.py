@@ -92,7 +92,7 @@ def test_an_unfinished_solve_is_no_result(task, monkeypatch):
     monkeypatch.setitem(direct.IPOPT, "max_iter", 1)
     told = []
     motion = shooting.plan(task, "ls", start_of(task), progress=lambda text, share: told.append((text, share)))
-    assert motion.status.startswith("not converged: Maximum_Iterations_Exceeded after 1 iterations")
+    assert motion.status.startswith("not converged: the iterations were used up (1 iterations, ")
     assert told[0] == ("s = 200 s/m", 0.0) and told[-1] == ("done", 1.0)
 
 

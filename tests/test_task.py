@@ -183,3 +183,13 @@ def test_made_paths_are_no_files():
     task = Task("made", TASKS["forwarder-half-cycle"].machine, MADE["moved"])
     with pytest.raises(InputError, match="the path of task made is a moved path; files and tables hold lines and"):
         written(task)
+
+
+def test_a_task_and_its_machine_print_in_a_line():
+    """They once printed every value of the machine with its origin: four screens."""
+    task = load_task("forwarder-vertical", start="0.45 m")
+    assert repr(task) == (
+        "Task(forwarder-vertical: forwarder, lines through 2 points in 6 s, payload 0 kg, start 0.45 m)"
+    )
+    assert repr(task.machine).startswith("Machine(forwarder: joints base, lift, tilt, extension; ")
+    assert repr(task.machine).endswith("; pump 325 l/min, 21.5 MPa)")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rich.box import SIMPLE_HEAD
+from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -10,6 +11,7 @@ from rich.text import Text
 from leanboom.source import shortened
 
 PIPE_WIDTH = 160  # of tables that do not go to a terminal
+WORD = 14  # characters that a column of words is not made narrower than; longer words are folded
 PUMPS = {"ls": "load-sensing pump", "cp": "constant-pressure pump"}
 
 
@@ -25,12 +27,32 @@ def say(console: Console, text: str, style: str = "") -> None:
 
 
 def new_table(*headings: str, numbers: int = 0) -> Table:
-    """A table without frame; its first column is kept whole, its last ones are numbers."""
+    """A table without frame, its last columns numbers; `show` prints it."""
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
     for i, heading in enumerate(headings):
         right = i >= len(headings) - numbers
-        table.add_column(Text(heading), justify="right" if right else "left", overflow="fold", no_wrap=i == 0 or right)
+        table.add_column(Text(heading), justify="right" if right else "left", overflow="fold", no_wrap=right)
     return table
+
+
+def show(console: Console, table: Table) -> None:
+    """Print a table in the console's width; where its numbers would not fit, a line a cell, so that none is cut."""
+    cells = [[text for text in [column.header, *column.cells] if isinstance(text, Text)] for column in table.columns]
+    for column, texts in zip(table.columns, cells, strict=True):
+        pieces = [
+            piece for text in texts for piece in (text.plain.splitlines() if column.no_wrap else text.plain.split())
+        ]
+        longest = max((cell_len(piece) for piece in pieces), default=0)
+        column.min_width = longest if column.no_wrap else min(longest, WORD)
+    if sum((column.min_width or 0) + 1 for column in table.columns) - 1 <= console.width:
+        console.print(table)
+        return
+    headings = [" ".join(texts[0].plain.split()) for texts in cells]
+    for row in zip(*(texts[1:] for texts in cells), strict=True):
+        say(console, row[0].plain, "bold")
+        for heading, text in zip(headings[1:], row[1:], strict=True):
+            if text.plain:
+                say(console, f"  {heading + ': ' if heading else ''}{text.plain}")
 
 
 def add_row(table: Table, *cells: str) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from leanboom import motion
 from leanboom.judge import Evaluation, evaluate
-from leanboom.motion import Motion
+from leanboom.motion import Motion, headed
 from leanboom.task import Braking, Part, Task
 
 STOPS = tuple(0.1 * 1.25**n for n in range(18))  # how long a stop may take [s]: 0.1 to 4.4
@@ -34,15 +34,21 @@ class Continuation:
 
     @property
     def status(self) -> str:
-        """`solved`, or a sentence: why the crane stops, and which limit even the stop breaks."""
-        return self.motion.status
+        """`solved`; or why the crane stops, and which limit even the stop breaks; or what the pump cannot deliver."""
+        return self.motion.status if self.stopping else self.evaluation.status
+
+    @property
+    def solved(self) -> bool:
+        """Whether it reaches the end of the task, keeps every limit, and the pump can deliver it."""
+        return self.status == "solved"
 
     def at(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position [m], velocity [m/s] and acceleration [m/s^2] at times of the whole task [s]; held outside."""
         return self.motion.at(np.asarray(time, dtype=np.float64) - self.since)
 
     def __repr__(self) -> str:
-        return f"Continuation({self.task.name} from {self.since:g} s: {self.motion.duration:g} s, {self.status})"
+        text = f"Continuation({self.task.name} from {self.since:g} s: {self.motion.duration:g} s, {self.status})"
+        return headed(self.status, text)
 
 
 def rest(task: Task, since: float) -> Task:

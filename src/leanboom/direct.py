@@ -40,6 +40,21 @@ IPOPT = {
     "mu_init": 1e-2,
 }
 
+# How IPOPT ends, in plain words.
+ENDINGS = {
+    "Solve_Succeeded": "solved",
+    "Solved_To_Acceptable_Level": "solved, less sharply than asked for",
+    "Infeasible_Problem_Detected": "no motion that keeps all limits was found near the first guess",
+    "Search_Direction_Becomes_Too_Small": "the search came to a standstill",
+    "Diverging_Iterates": "the search ran away",
+    "Maximum_Iterations_Exceeded": "the iterations were used up",
+    "Restoration_Failed": "no way back to the limits was found",
+    "Error_In_Step_Computation": "no direction to search in was found",
+    "Invalid_Number_Detected": "the search came to a pose that cannot be computed",
+    "Insufficient_Memory": "memory ran out",
+}
+UNUSABLE = "no first guess that can be computed: the pseudo-inverse leads through a singular pose or beyond the limits"
+
 Progress = Callable[[str, float], None]
 
 
@@ -213,7 +228,8 @@ class Answer:
 
     values: np.ndarray  # (nodes, variables)
     converged: bool
-    text: str  # IPOPT's status, iterations and objective
+    text: str  # how IPOPT ended, in plain words, with iterations and objective
+    raw: str  # the same in the solver's own words, for the log
 
 
 def optimise(solver: Any, guess: np.ndarray, parameters: np.ndarray, bounds: tuple, row_bounds: tuple) -> Answer:
@@ -227,14 +243,25 @@ def optimise(solver: Any, guess: np.ndarray, parameters: np.ndarray, bounds: tup
         row_bounds: Lower and upper bounds of the rows, (nodes, rows) each.
     """
     equations = np.zeros(solver.size1_in("lbg") - row_bounds[0].size)
-    answer = solver(
-        x0=np.clip(guess, *bounds).ravel(), p=parameters.ravel(), lbx=bounds[0].ravel(), ubx=bounds[1].ravel(),
-        lbg=np.concatenate([equations, row_bounds[0].ravel()]),
-        ubg=np.concatenate([equations, row_bounds[1].ravel()]),
-    )  # fmt: skip
+    try:
+        answer = solver(
+            x0=np.clip(guess, *bounds).ravel(), p=parameters.ravel(), lbx=bounds[0].ravel(), ubx=bounds[1].ravel(),
+            lbg=np.concatenate([equations, row_bounds[0].ravel()]),
+            ubg=np.concatenate([equations, row_bounds[1].ravel()]),
+        )  # fmt: skip
+    except RuntimeError as error:  # CasADi checks what it is given, and what it evaluates
+        return Answer(_finite(guess), False, UNUSABLE, " ".join(str(error).split()))
     stats = solver.stats()
-    text = f"{stats['return_status']} after {stats['iter_count']} iterations at {float(answer['f']):.4f} kJ"
-    return Answer(np.array(answer["x"]).reshape(guess.shape), bool(stats["success"]), text)
+    values, cost, count = np.array(answer["x"]).reshape(guess.shape), float(answer["f"]), int(stats["iter_count"])
+    status = str(stats["return_status"])
+    reached = f", {cost:.4f} kJ" if np.isfinite(cost) else ""
+    text = f"{ENDINGS.get(status, status.replace('_', ' ').lower())} ({count} iterations{reached})"
+    return Answer(_finite(values), bool(stats["success"]), text, f"{status} after {count} iterations at {cost:.4f} kJ")
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    """Variables that can be judged, whatever came out of a solver that failed."""
+    return np.nan_to_num(values, posinf=0.0, neginf=0.0)
 
 
 # A sequence of programs, and limits exceeded between the nodes.
@@ -290,9 +317,7 @@ def bootstrap(levels: tuple[Level, ...], solve: Solve, draw_in: DrawIn, cost: st
         nonlocal best, settled
         made = solve(level, guess, drawn)
         seconds, energy = time.perf_counter() - began, made.judged.energy(cost)
-        log.append(
-            f"{seconds:6.2f} s  {level}: {made.answer.text}, judged {1e-3 * energy:.5g} kJ, {made.judged.status}"
-        )
+        log.append(f"{seconds:6.2f} s  {level}: {made.answer.raw}, judged {1e-3 * energy:.5g} kJ, {made.judged.status}")
         if made.answer.converged:
             settled = level, made
             if best is None or better(made.judged, best, cost):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class LeanboomError(Exception):
     """Base of everything leanboom raises on purpose; its text is meant for the user."""
@@ -16,6 +18,15 @@ class InputError(LeanboomError):
 
 
 class InfeasibleError(LeanboomError):
-    """No motion satisfies the limits; the text names stage, time, limit and amount."""
+    """No motion satisfies the limits; the text names stage, time, limit and amount.
+
+    `plan` and `evaluation` are those of the best motion found, to look at what stands in the way; None where there is
+    none.
+    """
 
     exit_code = 1
+
+    def __init__(self, text: str, *, plan: Any = None, evaluation: Any = None) -> None:
+        super().__init__(text)
+        self.plan = plan
+        self.evaluation = evaluation

@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from leanboom.comparison import Comparison, Row
+    from leanboom.comparison import Comparison
     from leanboom.experiments import Line, Record, Records
+    from leanboom.task import Start
 
 PUMPS = {"ls": ("load-sensing pump", "#0b5c8c"), "cp": ("constant-pressure pump", "#d9931e")}
 PRINTED, OURS = "#9aa5b1", "#0b5c8c"
@@ -25,7 +26,8 @@ LINES = ("#0b5c8c", "#b4540a", "#17804a", "#5b4a9e", "#a3241b", "#59636e", "#d99
 WIDTH, DPI = 8.0, 100  # [in], points per inch
 POINTS = 601  # of a motion
 BROKEN = " *"  # behind the name of what breaks a limit
-BROKEN_NOTE = "* breaks a limit of position, velocity or acceleration"
+STARVED = " +"  # behind the name of what the pump cannot deliver
+MARKS = {BROKEN: "* breaks a limit of position, velocity or acceleration", STARVED: "+ more than the pump can deliver"}
 
 
 def energies(comparison: Comparison) -> bytes:
@@ -34,10 +36,12 @@ def energies(comparison: Comparison) -> bytes:
     Args:
         comparison: The comparison.
     """
-    figure, panels = _panels(len(comparison.starts), 0.26 * len(_labels(comparison)) + 0.9)
+    figure, panels = _panels(len(comparison.starts), 0.26 * len({row.label for row in comparison.rows}) + 0.9)
     for panel, start in zip(panels, comparison.starts, strict=True):
-        rows = {pump: {_label(row): row.energy for row in comparison.block(pump, start)} for pump in comparison.pumps}
-        order = [_label(row) for row in comparison.block(comparison.pumps[0], start)]
+        labels = _labels(comparison, start)
+        blocks = {pump: comparison.block(pump, start) for pump in comparison.pumps}
+        rows = {pump: {labels[row.label]: row.energy for row in block} for pump, block in blocks.items()}
+        order = [labels[row.label] for row in blocks[comparison.pumps[0]]]
         _bars(panel, order, rows)
         panel.set_title(f"{comparison.task.name}, start: {_start(start)}", fontsize=10, loc="left")
     return _png(figure)
@@ -52,11 +56,11 @@ def trajectories(comparison: Comparison) -> bytes:
     figure, panels = _panels(len(comparison.starts), 3.4)
     for panel, start in zip(panels, comparison.starts, strict=True):
         best = comparison.best(comparison.pumps[0], start)
-        curves = {}
+        curves, labels = {}, _labels(comparison, start)
         for row in comparison.block(comparison.pumps[0], start):
             if row.motion is not None:
                 time = np.linspace(0.0, comparison.task.duration, POINTS)
-                curves[_label(row)] = time, row.motion.at(time)[0], row is best
+                curves[labels[row.label]] = time, row.motion.at(time)[0], row is best
         _curves(panel, curves)
         panel.set_title(f"{comparison.task.name}, start: {_start(start)}", fontsize=10, loc="left")
     return _png(figure)
@@ -186,7 +190,12 @@ def _bars(panel: Axes, order: Sequence[str], values: Mapping[str, Mapping[str, f
         name, colour = PUMPS[pump]
         place = at + (0.5 * (len(values) - 1) - i) * height
         numbers = [energy[label] for label in order]
-        panel.barh(place, [0.0 if e is None else e / 1e3 for e in numbers], 0.92 * height, color=colour, label=name)
+        bars = panel.barh(
+            place, [0.0 if e is None else e / 1e3 for e in numbers], 0.92 * height, color=colour, label=name
+        )
+        for bar, label in zip(bars, order, strict=True):
+            if label.endswith(tuple(MARKS)):  # an outline alone: no result
+                bar.set(facecolor="white", edgecolor=colour, hatch="////", linewidth=0.8)
         for y, number in zip(place, numbers, strict=True):
             text = "no result" if number is None else f"{number / 1e3:.2f}"
             panel.annotate(
@@ -201,7 +210,8 @@ def _bars(panel: Axes, order: Sequence[str], values: Mapping[str, Mapping[str, f
 def _curves(panel: Axes, curves: Mapping[str, tuple[Any, Any, bool]]) -> None:
     """Curves by label: times, strokes, and whether it is the best."""
     for (label, (time, stroke, best)), colour in zip(curves.items(), (LINES * len(curves))[: len(curves)], strict=True):
-        panel.plot(time, stroke, color=colour, linewidth=1.0, label=label)
+        style = ":" if label.endswith(tuple(MARKS)) else "-"
+        panel.plot(time, stroke, color=colour, linewidth=1.0, linestyle=style, label=label)
         if best:  # a broad band below the others, so that it hides none of them
             panel.plot(time, stroke, color=colour, linewidth=6.0, alpha=0.3, zorder=1)
     panel.set_xlabel(_noted("time [s]", list(curves)), fontsize=8)
@@ -210,19 +220,23 @@ def _curves(panel: Axes, curves: Mapping[str, tuple[Any, Any, bool]]) -> None:
 
 
 def _noted(text: str, labels: Sequence[str]) -> str:
-    return f"{text}      {BROKEN_NOTE}" if any(label.endswith(BROKEN) for label in labels) else text
+    """An axis' title, and below it what the marks of its labels mean."""
+    notes = [note for mark, note in MARKS.items() if any(label.endswith(mark) for label in labels)]
+    return "      ".join([text, *notes])
 
 
 def _marked(label: str, record: Record) -> str:
     return label if record["status"] == "solved" or record["energy_ls_j"] is None else label + BROKEN
 
 
-def _label(row: Row) -> str:
-    return row.label if row.feasible or row.motion is None else row.label + BROKEN
-
-
-def _labels(comparison: Comparison) -> set[str]:
-    return {_label(row) for row in comparison.rows}
+def _labels(comparison: Comparison, start: Start) -> dict[str, str]:
+    """The methods from a start by their labels, those marked that are no solution with one of the pumps."""
+    labels = {}
+    for pump in comparison.pumps:
+        for row in comparison.block(pump, start):
+            mark = "" if row.solved or row.motion is None else STARVED if row.feasible else BROKEN
+            labels[row.label] = max(labels.get(row.label, row.label), row.label + mark, key=len)
+    return labels
 
 
 def _start(start: str | float) -> str:

@@ -122,7 +122,7 @@ def plan_receding(
 
     Raises:
         InputError: For arguments that cannot be used, such as a horizon shorter than a stage.
-        InfeasibleError: If `check` and the motion breaks a limit.
+        InfeasibleError: If `check` and the motion breaks a limit, with the judged motion as its `evaluation`.
     """
     _check(task, pump, horizon, every, grid, step)
     dp.prepare()
@@ -148,9 +148,11 @@ def plan_receding(
         previous = Continuation(judged.task, first * step, found, judged, stopping=False)
         first += taken
     whole = motion.from_velocities(step, start, speed, "receding", pump)
-    status = evaluate(task, whole).status
-    if check and status != "solved":
-        raise InfeasibleError(f"{status}; a horizon longer than {horizon:g} s leaves more time to react")
+    judged = evaluate(task, whole)
+    status = judged.status_with("cp" if pump == "cp" else "ls")
+    if check and not judged.feasible:
+        text = f"{status}; a horizon longer than {horizon:g} s leaves more time to react"
+        raise InfeasibleError(text, evaluation=judged)
     return replace(whole, status=status, solve_s=time.perf_counter() - began, log=tuple(log))
 
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import hydraulics, kinematics
+from leanboom import hydraulics, kinematics, remarks
 from leanboom.errors import InputError
-from leanboom.motion import Motion
+from leanboom.motion import Motion, headed
 from leanboom.shaft import shaft_of
 from leanboom.task import Task, sample
 
@@ -65,7 +65,7 @@ class Evaluation:
     limit_use: LimitUse
     path_error: float  # largest distance of the tool from its path [m]
     violations: tuple[str, ...]  # one sentence a violated limit, worst first
-    notes: tuple[str, ...]  # what a real pump could not do (flow, pressure); not limits of the planning problem
+    notes: tuple[str, ...]  # what a real pump could not do, or LS energy leaves out; no limits of the planning problem
     followed: bool  # whether the crane can make the motion at all; if not, energies are not the task's: "-" in tables
 
     @property
@@ -93,17 +93,40 @@ class Evaluation:
         return max(self.limit_use.worst, self.path_error / PATH_TOLERANCE)
 
     @property
-    def status(self) -> str:
-        """`solved`, or the worst violation as a sentence."""
-        return self.violations[0] if self.violations else "solved"
+    def deliverable(self) -> bool:
+        """Whether the pump can deliver what the motion needs: the constant-pressure one if planned for it, else LS."""
+        return not self._shortfalls(self._pump)
 
-    def __repr__(self) -> str:
+    @property
+    def status(self) -> str:
+        """`solved`, or what is wrong as a sentence; of the pump that `deliverable` looks at."""
+        return self.status_with(self._pump)
+
+    def status_with(self, pump: str) -> str:
+        """`solved`, the worst violation as a sentence, or else what the chosen pump, "ls" or "cp", cannot deliver."""
+        if self.violations:
+            return self.violations[0]
+        found = self._shortfalls(pump)
+        return remarks.undeliverable(found) if found else "solved"
+
+    @property
+    def _pump(self) -> str:
+        return "cp" if self.motion.cost == "cp" else "ls"
+
+    def _shortfalls(self, pump: str) -> tuple[remarks.Shortfall, ...]:
+        given = self.task.machine.pump
+        return remarks.shortfalls(given, pump, self.time, self.pump_flow, self.supply_ls, self.pressure)
+
+    @property
+    def summary(self) -> str:
+        """Task, method, energies and use of limits in a few words."""
         use = self.limit_use
         ls, cp = (f"{e / 1e3:.2f} kJ" if self.followed else "-" for e in (self.energy_ls, self.energy_cp))
-        return (
-            f"Evaluation({self.task.name}, {self.motion.method}: LS {ls}, CP {cp}, "
-            f"limit use {use.position:.3f}/{use.velocity:.3f}/{use.acceleration:.3f}, {self.status})"
-        )
+        used = f"limit use {use.position:.3f}/{use.velocity:.3f}/{use.acceleration:.3f}"
+        return f"{self.task.name}, {self.motion.method}: LS {ls}, CP {cp}, {used}"
+
+    def __repr__(self) -> str:
+        return headed(self.status, f"Evaluation({self.summary}, {self.status})")
 
 
 def evaluate(task: Task, motion: Motion) -> Evaluation:
@@ -181,6 +204,7 @@ def _evaluate(task: Task, motion: Motion) -> Evaluation:
     }  # fmt: skip
     for array in arrays.values():
         array.setflags(write=False)
+    energies = float(arrays["cumulative_ls"][-1]), float(arrays["cumulative_cp"][-1])
     return Evaluation(
         task=task,
         motion=motion,
@@ -188,7 +212,7 @@ def _evaluate(task: Task, motion: Motion) -> Evaluation:
         limit_use=LimitUse(*largest),
         path_error=float(error.max()),
         violations=violations,
-        notes=_notes(task, time, pump_flow, supply_ls),
+        notes=_notes(task, time, velocity, force, pump_flow, supply_ls, pressure, energies),
         followed=exists and float(error.max()) <= PATH_TOLERANCE,
     )
 
@@ -317,15 +341,8 @@ def _stage(motion: Motion, time: float) -> str:
     return f" (stage {min(int((time + late) / motion.step + 1e-9), motion.acceleration.size - 1)})"
 
 
-def _notes(task: Task, time: np.ndarray, pump_flow: np.ndarray, supply: np.ndarray) -> tuple[str, ...]:
-    pump = task.machine.pump
-    notes = []
-    i = int(pump_flow.argmax())
-    if pump_flow[i] > pump.max_flow:
-        flow, limit = pump_flow[i] * 6e4, pump.max_flow * 6e4
-        notes.append(f"pump flow {flow:.1f} l/min at {time[i]:.3f} s is above the pump's {limit:.1f} l/min")
-    i = int(supply.argmax())
-    if supply[i] > pump.max_pressure:
-        high, limit = supply[i] / 1e6, pump.max_pressure / 1e6
-        notes.append(f"LS supply {high:.2f} MPa at {time[i]:.3f} s is above the pump's {limit:.2f} MPa")
-    return tuple(notes)
+def _notes(task, time, velocity, force, pump_flow, supply, pressure, energies) -> tuple[str, ...]:
+    machine = task.machine
+    found = remarks.shortfalls(machine.pump, "ls", time, pump_flow, supply, pressure)
+    left_out = remarks.uncounted_work(machine, time, velocity, force, *energies)
+    return (*(str(each) for each in found), *filter(None, [left_out]))

@@ -248,3 +248,10 @@ class Machine:
     def redundant(self) -> Cylinder:
         """The cylinder whose motion is planned: the extension."""
         return self.cylinders[-1]
+
+    def __repr__(self) -> str:
+        pump = self.pump
+        return (
+            f"Machine({self.name}: joints {', '.join(self.names)}; {sum(body.mass for body in self.bodies):g} kg; pump "
+            f"{6e4 * pump.max_flow:g} l/min, {1e-6 * pump.max_pressure:g} MPa)"
+        )

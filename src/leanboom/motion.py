@@ -28,9 +28,10 @@ class Motion:
     lead: float | None = None  # length of the first interval [s], above 0 and up to `step`; None: `step`
 
     def __repr__(self) -> str:
-        return (
+        return headed(
+            self.status,
             f"Motion({self.method} minimising {self.cost}: {self.position.size - 1} stages of {self.step:g} s, "
-            f"{self.position[0]:.4f} m -> {self.position[-1]:.4f} m, {self.status})"
+            f"{self.position[0]:.4f} m -> {self.position[-1]:.4f} m, {self.status})",
         )
 
     @property
@@ -55,6 +56,11 @@ class Motion:
         u = self.acceleration[stage]
         w = self.velocity[stage]
         return self.position[stage] + dt * (w + 0.5 * dt * u), w + dt * u, u
+
+
+def headed(status: str, text: str) -> str:
+    """What a result prints as: what it is, behind NOT SOLVED and the reason where it is none."""
+    return text if status == "solved" else f"NOT SOLVED: {status}. {text}"
 
 
 def from_positions(step: float, position: np.ndarray, method: str, cost: str, **fields) -> Motion:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from leanboom import inspection
-from leanboom.console import PUMPS, add_row, length, new_table, say
+from leanboom.console import PUMPS, add_row, length, new_table, say, show
 from leanboom.source import shortened
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from leanboom.simulation import Simulation
 
 EVENTS_SHOWN = 12
+WORDS = ("", "beyond the pump", "breaks a limit", "no result")  # what becomes of a row, by its rank
 
 
 def plan(console: Console, result: Plan, out: Path | None, source: str) -> None:
@@ -40,8 +41,10 @@ def plan(console: Console, result: Plan, out: Path | None, source: str) -> None:
     console.print()
     for label, text in _facts(result):
         say(console, f"{label:<22}{text}")
-    if judged.feasible:
+    if result.solved:
         say(console, f"{'Limits':<22}all kept")
+    elif judged.feasible:
+        say(console, f"{'NOT SOLVED':<22}{result.status}", "red")
     for violation in judged.violations:
         say(console, f"{'Violated':<22}{shortened(violation, 400)}", "red")
     for note in judged.notes:
@@ -56,22 +59,24 @@ def plan(console: Console, result: Plan, out: Path | None, source: str) -> None:
 
 def _energies(console: Console, result: Plan) -> None:
     judged, other = result.evaluation, result.baseline
-    table = new_table("Pump energy", "plan\nkJ", "pseudo-inverse\nkJ", "saving", numbers=3)
+    table = new_table("Pump energy", _named(result), "pseudo-inverse\nkJ", "saving", numbers=3)
     for pump, heading in PUMPS.items():
         mine = judged.energy(pump) if judged.followed else None
         theirs = other.energy(pump) if other is not None and other.followed else None
         cells = ["-" if energy is None else f"{energy / 1e3:.2f}" for energy in (mine, theirs)]
-        cells.append("-" if mine is None or theirs is None else _saving(mine, theirs))
+        saving = result.saving(pump)
+        cells.append("-" if saving is None else f"{100.0 * saving:.1f} %")
         add_row(table, f"{heading}{' (chosen)' if pump == result.pump else ''}", *cells)
-    console.print(table)
+    show(console, table)
     if other is None:
         say(console, "The pseudo-inverse, today's method, cannot follow this path.")
     elif not other.feasible:
         say(console, f"The pseudo-inverse breaks a limit: {shortened(other.status, 300)}.")
 
 
-def _saving(mine: float, theirs: float) -> str:
-    return f"{100.0 * (1.0 - mine / theirs):.1f} %" if theirs > 0.0 else "-"
+def _named(result: Plan) -> str:
+    """The heading of a plan's energies; of one that is not solved nobody takes them for a result."""
+    return "plan\nkJ" if result.solved else "NOT SOLVED\nkJ"
 
 
 def _facts(result: Plan) -> list[tuple[str, str]]:
@@ -122,8 +127,8 @@ def simulation(console: Console, run: Simulation, out: Path | None) -> None:
     )
     for label, text in facts:
         say(console, f"{label:<22}{text}")
-    if not run.planned.feasible:
-        say(console, f"{'Note':<22}the plan breaks a limit: {shortened(run.planned.status, 300)}", "yellow")
+    if not run.solved:
+        say(console, f"{'NOT SOLVED':<22}{shortened(run.verdict, 300)}", "red")
     for event in run.events[:EVENTS_SHOWN]:
         say(
             console,
@@ -158,11 +163,15 @@ def comparison(console: Console, result: Comparison, out: Path | None) -> None:
             )
             table.columns[-1].justify = "left"
             table.columns[-1].no_wrap = False
-            for row in result.block(pump, start):
+            rows = result.block(pump, start)
+            for row in rows:
                 add_row(table, *_compared(row, best, bool(more)))
-            console.print(table)
+            show(console, table)
+            for row in rows:
+                if not row.solved:
+                    say(console, f"{row.label}: {shortened(row.status, 300)}.", "yellow")
             if best is None:
-                say(console, "No method found a motion that keeps every limit.", "red")
+                say(console, "No method found a motion that keeps every limit and that the pump can deliver.", "red")
             console.print()
     if out is not None:
         say(console, f"{'Rows and figures':<22}{shortened(str(out), 400)}")
@@ -177,10 +186,10 @@ def _compared(row: Row, best: Row | None, simulated: bool) -> list[str]:
     return [
         row.label,
         "-" if energy is None else f"{energy / 1e3:.2f}",
-        "-" if energy is None or not least else f"{energy / least:.3f}",
+        f"{energy / least:.3f}" if row.solved and energy is not None and least else "-",
         *([driven] if simulated else []),
         "-" if seconds is None else f"{seconds:.1f}",
-        "best" if row is best else "" if row.feasible else row.status,
+        "best" if row is best else WORDS[row.rank[0]],
     ]
 
 
@@ -201,7 +210,7 @@ def reproduction(console: Console, result: Reproduction, titles: dict[str, str])
         for line in result.lines:
             if line.experiment == name:
                 add_row(table, *_beside(line))
-        console.print(table)
+        show(console, table)
         console.print()
 
 

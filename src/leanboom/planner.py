@@ -17,7 +17,7 @@ import numpy as np
 from leanboom import compiling, dp, polish, stages
 from leanboom.errors import InfeasibleError, InputError, LeanboomError
 from leanboom.judge import Evaluation, evaluate, judged_cost
-from leanboom.motion import Motion
+from leanboom.motion import Motion, headed
 from leanboom.objective import COSTS
 from leanboom.polish import Modes, Polisher
 from leanboom.stages import Problem
@@ -65,8 +65,34 @@ class Plan:
     baseline: Evaluation | None  # sns-actuator from the same start
     peak_memory_bytes: int | None  # None where the system does not say
 
+    @property
+    def status(self) -> str:
+        """`solved`, or as a sentence what limit is broken, or what the chosen pump cannot deliver."""
+        return self.evaluation.status_with(self.pump)
+
+    @property
+    def solved(self) -> bool:
+        """Whether the motion keeps every limit and the chosen pump can deliver it."""
+        return self.status == "solved"
+
+    def saving(self, pump: str | None = None) -> float | None:
+        """Share of the pseudo-inverse's energy that the plan saves; None where there is nothing to compare.
+
+        Args:
+            pump: "ls" or "cp"; by default the chosen pump.
+
+        Returns:
+            The share; None for a plan that is not solved, with that pump, and without a pseudo-inverse.
+        """
+        pump = self.pump if pump is None else pump
+        if self.baseline is None or self.evaluation.status_with(pump) != "solved":
+            return None
+        mine, theirs = self.evaluation.energy(pump), self.baseline.energy(pump)
+        return 1.0 - mine / theirs if self.baseline.followed and theirs > 0.0 else None
+
     def __repr__(self) -> str:
-        return f"Plan({self.evaluation!r})"
+        text = f"Plan({self.pump}, {self.evaluation.summary})"
+        return headed(self.status, text)
 
 
 def plan(
@@ -91,16 +117,13 @@ def plan(
         check: Whether to raise where no feasible motion was found.
 
     Returns:
-        The motion; its `status` says whether it keeps every limit.
+        The motion; its `status` says whether it keeps every limit, and whether the pump can deliver it.
 
     Raises:
         InputError: For arguments or tasks that cannot be used.
-        InfeasibleError: If `check` and no motion keeps every limit.
+        InfeasibleError: If `check` and no motion keeps every limit, with the best one as its `plan`.
     """
-    result = run(task, pump=pump, cost=cost, method=method, grid=grid, step=step, baseline=False)
-    if check and not result.evaluation.feasible:
-        raise InfeasibleError(result.evaluation.status)
-    return result.motion
+    return run(task, pump=pump, cost=cost, method=method, grid=grid, step=step, baseline=False, check=check).motion
 
 
 def run(
@@ -112,6 +135,7 @@ def run(
     grid: tuple[int, int] = GRID,
     step: float = 0.05,
     baseline: bool = True,
+    check: bool = True,
     progress: Progress | None = None,
 ) -> Plan:
     """Plan a task and judge the result, with progress; arguments as in `plan`.
@@ -124,14 +148,16 @@ def run(
         grid: Position and velocity nodes of the coarse grid.
         step: Length of a stage [s].
         baseline: Whether to judge the actuator pseudo-inverse as well.
+        check: Whether to raise where no feasible motion was found.
         progress: Called with what happens and the share done.
 
     Returns:
-        The plan, feasible or not.
+        The plan; without `check` it may break limits, as `solved` and `status` say.
 
     Raises:
         InputError: For arguments or tasks that cannot be used.
-        InfeasibleError: If the tool cannot follow the path, whatever the extension.
+        InfeasibleError: If `check` and no motion keeps every limit, with the best one as its `plan`; and if the tool
+            cannot follow the path, whatever the extension.
     """
     cost = pump if cost is None else cost
     _check(task, pump, cost, method, grid, step)
@@ -145,7 +171,7 @@ def run(
     solver = _Run(task, cost, grid, step, tell, began)
     best = solver.by(method)
     seconds = time.perf_counter() - began
-    status = best.status if best.feasible or method != "dp" else solver.explain(best)
+    status = best.status_with(pump) if best.feasible or method != "dp" else solver.explain(best)
     done = replace(
         best.motion, method=method, cost=cost, solve_s=seconds, log=best.motion.log or tuple(solver.log), status=status
     )
@@ -154,7 +180,10 @@ def run(
         best = replace(best, violations=(status, *best.violations[1:]))
     other = solver.baseline(float(done.position[0])) if baseline else None
     tell("done", 1.0)
-    return Plan(task, pump, done, best, other, _peak_memory())
+    found = Plan(task, pump, done, best, other, _peak_memory())
+    if check and not best.feasible:
+        raise InfeasibleError(status, plan=found, evaluation=best)
+    return found
 
 
 def _peak_memory() -> int | None:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from leanboom.errors import InfeasibleError, InputError
+from leanboom.errors import InputError
 from leanboom.terminal import Json, Progress, complain, duration, percent, print_json, settings
 
 
@@ -61,7 +61,9 @@ def plan(
     from leanboom import planner
 
     with Progress() as tell, runfolder.reserved(out):
-        result = planner.run(asked, pump=pump, cost=cost, method=method, grid=nodes, step=seconds, progress=tell)
+        result = planner.run(
+            asked, pump=pump, cost=cost, method=method, grid=nodes, step=seconds, check=False, progress=tell
+        )
         if out is not None:
             tell("writing the run folder", 1.0)
             runfolder.write(result, out, nodes)
@@ -82,8 +84,9 @@ def plan(
             from leanboom import proofs
 
             proofs.certificate(output(), proof)
+    if not result.solved:
+        complain(result.status)
     if not result.evaluation.feasible:
-        complain(result.evaluation.status)
         raise typer.Exit(1)
 
 
@@ -114,8 +117,6 @@ def certify(
     asked = files.load_task(task, start=start)
     with Progress() as tell:
         result = planner.run(asked, pump=pump, step=stage, baseline=False, progress=tell)
-        if not result.evaluation.feasible:
-            raise InfeasibleError(result.evaluation.status)
         proof = certificate.certify(
             asked, pump, motion=result.motion, step=stage, seconds=limit, gap=least, progress=tell
         )
@@ -126,6 +127,8 @@ def certify(
         from leanboom.console import output
 
         proofs.certificate(output(), proof)
+    if not result.solved:
+        complain(result.status)
 
 
 def simulate(
@@ -158,7 +161,7 @@ def simulate(
     with Progress() as tell, runfolder.reserved(out):
         if kept is None:
             asked = files.load_task(task)
-            plan = planner.run(asked, pump=pump or "ls", method=method or "dp", progress=tell)
+            plan = planner.run(asked, pump=pump or "ls", method=method or "dp", check=False, progress=tell)
             result = simulation.simulate(asked, plan.motion, plan.pump, progress=tell)
             if out is not None:
                 tell("writing the run folder", 1.0)
@@ -176,6 +179,7 @@ def simulate(
         from leanboom.console import output
 
         outcomes.simulation(output(), result, out)
+    if not result.solved:
+        complain(result.verdict)
     if not result.complete:
-        complain(result.status)
         raise typer.Exit(1)

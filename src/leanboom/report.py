@@ -74,13 +74,13 @@ def page(plan: Plan, grid: tuple[int, int] | None = None) -> str:
     Returns:
         The document's text.
     """
-    judged, task = plan.evaluation, plan.task
+    task = plan.task
     holes = {
         "title": _text(task.name),
         "subtitle": f"Crane {_text(task.machine.name)} · {PUMPS[plan.pump]} pump · {task.duration:g} s"
         + (f" · payload {task.payload:g} kg" if task.payload else " · no payload"),
-        "badge": "good" if judged.feasible else "bad",
-        "verdict": "All limits kept" if judged.feasible else "No feasible motion",
+        "badge": "good" if plan.solved else "bad",
+        "verdict": _verdict(plan),
         "lead": _lead(plan),
         "alerts": _alerts(plan),
         "cards": _cards(plan),
@@ -143,12 +143,15 @@ def _average(judged: Evaluation, pump: str) -> str:
     return f"{judged.energy(pump) / judged.task.duration / 1e3:.2f} kW on average"
 
 
-def _saving(plan: Plan) -> float | None:
-    """Share of the baseline's energy that the plan saves; None where there is nothing to compare."""
-    if plan.baseline is None or not (plan.evaluation.followed and plan.baseline.followed):
-        return None
-    mine, theirs = plan.evaluation.energy(plan.pump), plan.baseline.energy(plan.pump)
-    return 1.0 - mine / theirs if theirs > 0.0 else None
+def _verdict(plan: Plan) -> str:
+    if plan.solved:
+        return "All limits kept"
+    return "Limits kept, but the pump cannot deliver it" if plan.evaluation.feasible else "No feasible motion"
+
+
+def _called(plan: Plan, what: str) -> str:
+    """What is said of the plan's own numbers, which are no result where it is not solved."""
+    return what if plan.solved else f"{what} (not solved)"
 
 
 def _lead(plan: Plan) -> str:
@@ -158,12 +161,17 @@ def _lead(plan: Plan) -> str:
             f"No motion was found that follows the path in {plan.task.duration:g} s and keeps every limit: "
             f"{_text(judged.status)}. What is shown below is the closest one."
         )
+    if not plan.solved:
+        return (
+            f"A motion was found that follows the path in {plan.task.duration:g} s and keeps every limit of the "
+            f"cylinders, but the crane cannot drive it: {_text(plan.status)}. A larger pump or a longer time would do."
+        )
     goal = "" if plan.motion.cost == plan.pump else f" It was chosen for the least {_goal(plan)}, not for this energy."
     begin = (
         f"The crane's tool follows a given path in {plan.task.duration:g} s. Its telescope leaves infinitely many ways "
         f"to do so; this one takes <strong>{_kilojoule(judged, plan.pump)}</strong> from a {pump} pump"
     )
-    saving = _saving(plan)
+    saving = plan.saving()
     if plan.baseline is None or saving is None:
         return f"{begin}.{goal}"
     other = _kilojoule(plan.baseline, plan.pump)
@@ -182,7 +190,7 @@ def _goal(plan: Plan) -> str:
 
 def _alerts(plan: Plan) -> str:
     lines = [("alert bad", f"Limit broken: {text}.") for text in plan.evaluation.violations]
-    lines += [("alert", f"Beyond the pump, which the plan does not look at: {text}.") for text in plan.evaluation.notes]
+    lines += [("alert", f"Note: {text}.") for text in plan.evaluation.notes]
     if plan.baseline is not None and not plan.baseline.feasible:
         lines.append(("alert", f"The pseudo-inverse it is compared with breaks a limit: {plan.baseline.status}."))
     if plan.baseline is None:
@@ -195,12 +203,12 @@ def _cards(plan: Plan) -> str:
     use = judged.limit_use
     nearest = max(("position", "velocity", "acceleration"), key=lambda kind: getattr(use, kind))
     cards = [
-        ("Energy, plan", _kilojoule(judged, plan.pump), _average(judged, plan.pump), " first"),
+        (_called(plan, "Energy, plan"), _kilojoule(judged, plan.pump), _average(judged, plan.pump), " first"),
     ]
     if plan.baseline is not None:
         theirs = _kilojoule(plan.baseline, plan.pump), _average(plan.baseline, plan.pump)
         cards.append(("Energy, pseudo-inverse", *theirs, ""))
-    saving = _saving(plan)
+    saving = plan.saving()
     if saving is not None:
         what = "Saving" if saving >= 0.0 else "Loss"
         cards.append((what, f"{100 * abs(saving):.1f} %", f"{PUMPS[plan.pump]} pump", ""))
@@ -216,7 +224,9 @@ def _cards(plan: Plan) -> str:
 
 def _bars(plan: Plan) -> str:
     judged, other = plan.evaluation, plan.baseline
-    motions = [("plan", judged, "")] + ([("pseudo-inverse", other, " other")] if other is not None else [])
+    motions = [(_called(plan, "plan"), judged, "")] + (
+        [("pseudo-inverse", other, " other")] if other is not None else []
+    )
     order = [plan.pump, *(pump for pump in PUMPS if pump != plan.pump)]
     largest = max((m.energy(pump) for pump in order for _, m, _ in motions if m.followed), default=0.0)
     lines = []

@@ -76,7 +76,7 @@ def summary(plan: Plan, out: Path | None = None) -> dict[str, Any]:
         "cost": plan.motion.cost,
         "method": plan.motion.method,
         "start_m": _finite(plan.motion.position[0]),
-        "status": judged.status,
+        "status": plan.status,
         "duration_s": _finite(plan.task.duration),
         "energy_j": judged.energy(plan.pump) if judged.followed else None,
         "energy_ls_j": judged.energy_ls if judged.followed else None,

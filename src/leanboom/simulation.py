@@ -22,7 +22,7 @@ from leanboom.events import Event
 from leanboom.integrator import TOLERANCE, Integrator, SolverError
 from leanboom.judge import Evaluation, evaluate
 from leanboom.machine import MobileValve
-from leanboom.motion import Motion
+from leanboom.motion import Motion, headed
 from leanboom.plant import Plant
 from leanboom.shaft import shaft_of
 from leanboom.task import Task, sample
@@ -71,6 +71,16 @@ class Simulation:
         return self.status == "complete"
 
     @property
+    def verdict(self) -> str:
+        """`solved`, or as a sentence why the run ended early, or what is wrong with the plan it drove."""
+        return self.planned.status_with(self.pump) if self.complete else self.status
+
+    @property
+    def solved(self) -> bool:
+        """Whether the run reached its end, and drove a plan that keeps every limit and that the pump can deliver."""
+        return self.verdict == "solved"
+
+    @property
     def energy(self) -> float:
         """What the pump took [J]."""
         return float(self.cumulative[-1])
@@ -103,10 +113,11 @@ class Simulation:
         return float(self.time[-1]) / max(self.wall_s, 1e-9)
 
     def __repr__(self) -> str:
-        return (
+        return headed(
+            self.verdict,
             f"Simulation({self.task.name}, {self.motion.method}, {self.pump}: {self.energy / 1e3:.2f} kJ, planned "
             f"{self.planned_energy / 1e3:.2f} kJ, path accuracy {self.path_accuracy:.3f} m, {len(self.events)} "
-            f"events, {self.status})"
+            f"events, {self.status})",
         )
 
 

@@ -110,8 +110,12 @@ def page(run: Simulation) -> str:
             f"Crane {task.machine.name} · {report.PUMPS[run.pump]} pump · motion by {run.motion.method} · "
             f"controller {run.controller}"
         ),
-        "badge": "good" if run.complete else "bad",
-        "verdict": "Complete" if run.complete else "Incomplete",
+        "badge": "good" if run.solved else "bad",
+        "verdict": "Incomplete"
+        if not run.complete
+        else "Complete"
+        if run.solved
+        else "Complete, but of no solved plan",
         "lead": _lead(run),
         "cards": _cards(run),
         "events": _events(run),
@@ -124,6 +128,8 @@ def page(run: Simulation) -> str:
 
 def _lead(run: Simulation) -> str:
     begin = "" if run.complete else f"The run ended early: {escape(run.status)}. What is shown is the part before it. "
+    if run.complete and not run.solved:
+        begin = f"The plan that is driven here is not solved: {escape(run.verdict)}. "
     change = run.energy / run.planned_energy - 1.0 if run.planned_energy > 0.0 else 0.0
     more = (
         f"{100 * abs(change):.1f} % {'more' if change > 0.0 else 'less'} than" if abs(change) > 5e-4 else "as much as"

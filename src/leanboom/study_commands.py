@@ -62,6 +62,9 @@ def compare(
     if not any(row.feasible for row in result.rows):
         complain("no method found a feasible motion")
         raise typer.Exit(1)
+    for row in result.rows:
+        if row.feasible and not row.solved:
+            complain(f"{row.label} from {row.start}, {row.pump}: {row.status}")
 
 
 def reproduce(

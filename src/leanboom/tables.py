@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.text import Text
 
 from leanboom import inspection, shaft
-from leanboom.console import add_row, length, new_table, say
+from leanboom.console import add_row, length, new_table, say, show
 from leanboom.machine import EfficiencyMap
 from leanboom.source import shortened
 from leanboom.task import Spline, written
@@ -114,7 +114,7 @@ def machine_list(console: Console, machines: Sequence[Machine]) -> None:
         pump = f"{machine.pump.max_pressure / 1e6:g} MPa, {machine.pump.max_flow * 6e4:.0f} l/min"
         reach = f"{inspection.reach(machine).radius:.2f}"
         add_row(table, machine.name, ", ".join(machine.names), reach, pump, f"{counts['assumed']} of {total}")
-    console.print(table)
+    show(console, table)
     say(console, "\nDetails: leanboom machines NAME; where values come from: leanboom check NAME")
 
 
@@ -151,13 +151,13 @@ def machine_detail(console: Console, machine: Machine) -> None:
             f"{cylinder.velocity_limit:g}",
             f"{cylinder.acceleration_limit:g}",
         )
-    console.print(table)
+    show(console, table)
     console.print()
     table = new_table("Body", "Moves with", "mass\nkg", numbers=1)
     for body in machine.bodies:
         share = f" and {body.extension_share:g} of the extension" if body.extension_share else ""
         add_row(table, body.name, f"{body.carrier}{share}", f"{body.mass:g}")
-    console.print(table)
+    show(console, table)
     console.print()
     say(console, f"{inspection.assumed(machine)} (leanboom check lists them).")
 
@@ -174,7 +174,7 @@ def task_list(console: Console, tasks: Sequence[Task]) -> None:
         kind = "spline" if isinstance(task.path, Spline) else "lines"
         path = f"{kind}, {len(written(task).points)} points"
         add_row(table, task.name, task.machine.name, path, _start(task), f"{task.payload:g}", f"{task.duration:g}")
-    console.print(table)
+    show(console, table)
     say(console, "\nDetails: leanboom tasks NAME; plan one: leanboom plan NAME --out DIR")
 
 
@@ -200,7 +200,7 @@ def task_detail(console: Console, task: Task) -> None:
     table = new_table("time\ns", "x\nm", "y\nm", "z\nm", numbers=4)
     for time, point in zip(times, path.points, strict=True):
         add_row(table, f"{time:g}", *(f"{value:g}" for value in point))
-    console.print(table)
+    show(console, table)
 
 
 def checked_machine(console: Console, name: str, machine: Machine) -> None:
@@ -250,14 +250,14 @@ def _machine_report(console: Console, machine: Machine) -> None:
     table = new_table("Values", "count", numbers=1)
     for status, number in inspection.count(machine).items():
         add_row(table, status, str(number))
-    console.print(table)
+    show(console, table)
     entries = [entry for entry in machine.provenance if entry.status in ("assumed", "unstated")]
     if entries:
         console.print()
         table = new_table("Assumed or unstated", "value", "why")
         for entry in entries:
             add_row(table, entry.key, entry.value, entry.note if entry.status == "assumed" else "unstated")
-        console.print(table)
+        show(console, table)
     console.print()
 
 

@@ -163,6 +163,15 @@ class Task:
         """Time the path takes [s]."""
         return self.path.duration
 
+    def __repr__(self) -> str:
+        start = self.start if isinstance(self.start, str) else f"{self.start:g} m"
+        path = self.path
+        points = f" through {len(path.points)} points" if isinstance(path, Lines | Spline) else ""
+        return (
+            f"Task({self.name}: {self.machine.name}, {type(path).__name__.lower()}{points} in {path.duration:g} s, "
+            f"payload {self.payload:g} kg, start {start}" + (f", smooth {self.smooth:g} Hz)" if self.smooth else ")")
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
