@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -114,14 +115,31 @@ def test_plan_hands_its_options_on(calls):
     )  # fmt: skip
     task, settings = calls[0]
     assert task.start == 0.45
-    assert settings == {"pump": "cp", "cost": "actuator", "method": "dp1", "grid": (41, 21), "step": 0.1}
+    chosen = {"pump": "cp", "cost": "actuator", "method": "dp1", "grid": (41, 21), "step": 0.1}
+    assert settings == chosen | {"check": False}
 
 
 def test_plan_without_options_uses_the_stated_defaults(calls):
     leanboom("plan", "forwarder-vertical")
     task, settings = calls[0]
     assert task.start == "smallest"
-    assert settings == {"pump": "ls", "cost": None, "method": "dp", "grid": (141, 71), "step": 0.05}
+    defaults = {"pump": "ls", "cost": None, "method": "dp", "grid": (141, 71), "step": 0.05}
+    assert settings == defaults | {"check": False}
+
+
+def test_a_plan_the_pump_cannot_deliver_ends_well_but_never_reads_solved(monkeypatch, planned):
+    """Limits are kept, so the exit code is 0; JSON, table and standard error say what the pump lacks."""
+    task = planned.task
+    weak = replace(task, machine=replace(task.machine, pump=replace(task.machine.pump, max_flow=5.0 / 6e4)))
+    judged = evaluate(weak, planned.motion)
+    monkeypatch.setattr(planner, "run", lambda *_, **__: replace(planned, task=weak, evaluation=judged))
+    told = leanboom("plan", "forwarder-vertical", "--json")
+    status = json.loads(told.stdout)["status"]
+    assert status.startswith("limits kept, but the pump cannot deliver it: ") and "the pump gives 5.0 l/min" in status
+    assert told.exit_code == 0 and told.stderr == f"leanboom: {status}\n"
+    shown = leanboom("plan", "forwarder-vertical")
+    assert shown.exit_code == 0 and "all kept" not in shown.stdout and "%  \n" not in shown.stdout
+    assert "NOT SOLVED" in shown.stdout and status in words(shown.stdout)
 
 
 def test_plan_tells_people_energies_saving_limits_and_assumptions(calls, planned):
