@@ -88,6 +88,53 @@ def test_version():
     assert re.fullmatch(r"leanboom \d+\.\d+\.\d+\n", result.stdout)
 
 
+def test_the_module_runs_as_the_command_does():
+    answer = subprocess.run([sys.executable, "-m", "leanboom", "--version"], capture_output=True, text=True, check=True)
+    assert answer.stdout == leanboom("--version").stdout
+
+
+@pytest.mark.parametrize("command", ["", *(command.callback.__name__ for command in cli.app.registered_commands)])
+def test_help_fits_80_columns_and_names_arguments_plainly(command):
+    result = CliRunner().invoke(cli.app, [*command.split(), "--help"], env={"COLUMNS": "80", "TERM": "dumb"})
+    assert result.exit_code == 0
+    assert max(map(len, result.stdout.splitlines())) <= 80
+    usage = next(line for line in result.stdout.splitlines() if "Usage:" in line)
+    assert not re.search(r"\[\[|\.\.\.[}\]]", usage), usage
+    assert "…" not in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("line", "names"),
+    [
+        ("leanboom plan forwarder-v", ["forwarder-vertical"]),
+        ("leanboom check loader", [name for name in ("loader", *files.bundled_tasks()) if name.startswith("loader")]),
+        ("leanboom machines ", ["forwarder", "loader"]),
+        ("leanboom plan --pu", ["--pump"]),
+        ("leanboom cert", ["certify"]),
+    ],
+)
+def test_the_shell_completes_commands_options_and_bundled_names(line, names):
+    words = line.split(" ")
+    answer = CliRunner().invoke(
+        cli.app,
+        prog_name="leanboom",
+        env={"_LEANBOOM_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)},
+    )
+    assert answer.stdout.split() == names
+
+
+def test_completion_for_a_home_that_cannot_be_written_is_refused(monkeypatch, tmp_path, capsys):
+    home = tmp_path / "file"
+    home.write_text("", encoding="utf-8")
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setattr(sys, "argv", ["leanboom", "--install-completion", "bash"])
+    monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert end.value.code == 2
+    assert "cannot be written" in capsys.readouterr().err
+
+
 def test_help_starts_without_heavy_imports():
     program = (
         "import sys; from leanboom import cli; sys.argv = ['leanboom', 'plan', '--help']\n"
@@ -370,6 +417,67 @@ def test_check_says_when_a_path_cannot_be_reached(tmp_path):
     text = files.dump_task(files.load_task("forwarder-horizontal"), "forwarder")
     file.write_text(text.replace("[7.2, 0, 2]", "[12, 0, 2]"), encoding="utf-8")
     assert leanboom("check", str(file)).exit_code == 1
+
+
+def test_check_tells_of_a_machine_once_however_many_tasks_it_has():
+    result = leanboom("check", "forwarder-vertical", "loader", "forwarder-horizontal", "forwarder")
+    assert result.exit_code == 0
+    assert result.stdout.count("Held at reach") == 2
+    assert result.stdout.count("Machine           forwarder, as above") == 2
+    assert result.stdout.count("61\nunstated") == 1
+
+
+def test_check_prints_json_and_nothing_else(tmp_path):
+    machine, task, far = tmp_path / "machine.yaml", tmp_path / "task.yaml", tmp_path / "far.yaml"
+    text = files.dump_machine(files.load_machine("loader")).replace("bore: 80 mm", "bore: 10 in", 1)
+    machine.write_text(text, encoding="utf-8")
+    path = files.dump_task(files.load_task("forwarder-horizontal"), "forwarder")
+    far.write_text(path.replace("[7.2, 0, 2]", "[12, 0, 2]"), encoding="utf-8")
+    task.write_text(path.replace("machine: forwarder", "machine: machine.yaml").replace("start: ", "star: "))
+    result = leanboom("check", "loader-triangle-small", str(task), str(far), "missing", "--json")
+    assert result.exit_code == 2
+    good, wrong, unreached, missing = json.loads(result.stdout)
+    assert good == {
+        "file": "loader-triangle-small",
+        "kind": "task",
+        "name": "loader-triangle-small",
+        "machine": "loader",
+        "values": inspection.count(files.load_machine("loader")),
+        "problems": [],
+        "notes": [],
+    }
+    assert (wrong["file"], wrong["kind"], wrong["name"], wrong["values"]) == (str(task), "task", None, None)
+    assert {problem["key"] for problem in wrong["problems"]} == {"star", "start", "cylinders.lift.bore"}
+    unknown, absent, bore = (
+        next(problem for problem in wrong["problems"] if problem["key"] == key)
+        for key in ("star", "start", "cylinders.lift.bore")
+    )
+    line = 1 + next(i for i, row in enumerate(text.splitlines()) if "bore: 10 in" in row)
+    assert bore == {
+        "file": str(machine),
+        "line": line,
+        "key": "cylinders.lift.bore",
+        "value": "10 in",
+        "allowed": "must be a finite length in mm, cm, m, such as 610 mm; in is not a unit here",
+        "text": "cylinders.lift.bore = 10 in; must be a finite length in mm, cm, m, such as 610 mm; in is not a unit "
+        "here",
+    }
+    assert unknown["allowed"].endswith("did you mean start?") and absent["value"] is None
+    assert "no extension reaches" in unreached["problems"][0]["text"] and unreached["machine"] == "forwarder"
+    assert missing["kind"] is None and missing["problems"][0]["text"].startswith("is no file and no bundled name")
+
+
+@pytest.mark.parametrize("machine", ["loader", "forwarder"])
+def test_what_check_doubts_are_the_notes_of_its_json(tmp_path, machine):
+    file = tmp_path / "weak.yaml"
+    text = re.sub(
+        "(max_pressure|constant_pressure): [0-9.]+ MPa", r"\1: 6 MPa", files.dump_machine(files.load_machine(machine))
+    )
+    file.write_text(text, encoding="utf-8")
+    (found,) = json.loads(leanboom("check", str(file), "--json").stdout)
+    assert found["problems"] == []
+    assert found["notes"] == list(inspection.doubts(files.load_machine(file)))
+    assert ("holding the empty crane" in " ".join(found["notes"])) == (machine == "forwarder")
 
 
 def test_reach_and_static_pressures_are_plausible():

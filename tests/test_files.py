@@ -256,6 +256,30 @@ def test_the_wrong_kind_of_unit_is_still_a_unit():
     assert slip("0.5 m", KINDS["number"]) == ""
 
 
+@pytest.mark.parametrize("name", bundled_machines())
+def test_a_stroke_that_is_left_out_is_the_change_of_length(tmp_path, name):
+    whole = load_machine(name)
+    text = "".join(line for line in dump_machine(whole).splitlines(True) if not line.startswith("    stroke:"))
+    machine = load_machine(written(tmp_path, text))
+    for mine, theirs, joint in zip(machine.cylinders, whole.cylinders, machine.joints, strict=True):
+        ends = [float(cylinder(mine.linkage, q)[0]) for q in (joint.lower, joint.upper)]
+        assert mine.stroke == pytest.approx(abs(ends[1] - ends[0]), rel=1e-12)
+        assert mine.stroke == pytest.approx(theirs.stroke, abs=1e-4)
+    again = dump_machine(machine)
+    assert "stroke:" not in again
+    assert load_machine(written(tmp_path, again)) == machine
+
+
+def test_a_stroke_that_was_changed_in_python_is_written(tmp_path):
+    machine = load_machine("loader")
+    text = "".join(line for line in dump_machine(machine).splitlines(True) if not line.startswith("    stroke:"))
+    machine = load_machine(written(tmp_path, text))
+    lift = replace(machine.cylinders[0], stroke=0.546)
+    changed = dump_machine(replace(machine, cylinders=(lift, *machine.cylinders[1:])))
+    assert changed.count("stroke: 0.546 m") == 1
+    assert load_machine(written(tmp_path, changed)).cylinders[0].stroke == 0.546
+
+
 def test_two_racks_double_the_base_areas(tmp_path):
     one, two = load_machine("forwarder"), load_machine(written(tmp_path, FORWARDER.replace("racks: 1 ", "racks: 2 ")))
     assert two.cylinders[0].piston_area == 2.0 * one.cylinders[0].piston_area

@@ -10,9 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from leanboom import crane as cranes
 from leanboom import kinematics
 from leanboom.files import load_machine
 from leanboom.kinematics import ELBOW_DOWN, ELBOW_MARGIN, ELBOW_UP
+from leanboom.task import Lines, Task
 
 MACHINES = {name: load_machine(name) for name in ("forwarder", "loader")}
 SHARE = st.floats(0.0, 1.0)
@@ -85,6 +87,27 @@ def test_tool_points_worked_out_elsewhere(name, q, tool):
     geometry = MACHINES[name].geometry
     assert kinematics.tool_point(*q, *plane(geometry)) == pytest.approx(tool, abs=6e-5)
     assert kinematics.lift_and_tilt(*tool, q[2], *plane(geometry)) == pytest.approx(q[:2], abs=6e-5)
+
+
+@pytest.mark.parametrize("offset", [0.376, -0.2])
+def test_the_offset_is_upwards_where_the_crane_is_stretched_out(offset):
+    """As docs/files.md draws it, also for the payload that hangs at the tool."""
+    machine = MACHINES["forwarder"]
+    g = replace(machine.geometry, offset=offset)
+    extension = 1.5
+    r, z = kinematics.tool_point(0.0, 0.0, extension, *plane(g))
+    assert r == pytest.approx(g.base_x + g.boom + g.outer + extension)
+    assert z == pytest.approx(g.base_z + offset)
+    machine = replace(machine, geometry=g, payload_along=g.outer, payload_above=offset)
+    q = (0.3, -0.4, extension)
+    empty, loaded = (
+        cranes.inertia_and_gravity(
+            cranes.build(Task("hold", machine, Lines(((5, 0, 2), (5, 0, 2)), (1.0,)), payload)), *q
+        )
+        for payload in (0.0, 100.0)
+    )
+    _, _, _, *slopes = kinematics.jacobian(*q, *links(g))
+    np.testing.assert_allclose(np.subtract(loaded[1], empty[1]), 100.0 * machine.gravity * np.array(slopes), rtol=1e-9)
 
 
 def test_forwarder_reaches_what_its_maker_prints():

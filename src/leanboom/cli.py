@@ -13,7 +13,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from leanboom.errors import LeanboomError
+from leanboom.errors import InputError, LeanboomError
 from leanboom.file_commands import check, machines, tasks
 from leanboom.planning_commands import certify, plan, simulate
 from leanboom.study_commands import compare, reproduce
@@ -39,7 +39,6 @@ class _Guarded(TyperGroup):
 app = typer.Typer(
     cls=_Guarded,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -51,6 +50,9 @@ def main() -> NoReturn:
         sys.exit(app())
     except KeyboardInterrupt:  # before or after a command
         sys.exit(INTERRUPTED)
+    except OSError as error:  # completion is installed into a home that cannot be written
+        complain(f"{error.filename}: cannot be written: {error.strerror}")
+        sys.exit(InputError.exit_code)
 
 
 def _version(wanted: bool) -> None:

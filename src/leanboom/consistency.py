@@ -65,6 +65,13 @@ def linkage(keys: Section) -> Linkage:
     return kinds.get(type(keys), Triangle)(**values)
 
 
+def stroke(shape: Linkage, lower: float, upper: float) -> float:
+    """The change of a cylinder's length [m] over its joint's range, from end to end [rad or m]."""
+    from leanboom.linkages import cylinder
+
+    return abs(float(cylinder(shape, upper)[0]) - float(cylinder(shape, lower)[0]))
+
+
 def efficiency(keys: PumpKeys) -> float | EfficiencyMap:
     """The efficiency of a pump."""
     given = keys.efficiency
@@ -135,9 +142,9 @@ def _check_slewing(source: Source, data: dict[str, Data]) -> None:
     for section in ("joints", "cylinders"):
         part = _mapping(data, section)
         if slewing is True and part and part.get("base") is None:
-            source.add((section, "base"), " is missing; must be given since geometry.slewing = true")
+            source.add((section, "base"), " is missing", "must be given since geometry.slewing = true")
         if slewing is False and "base" in part:
-            source.add((section, "base"), " is given; must be left out since geometry.slewing = false")
+            source.add((section, "base"), " is given", "must be left out since geometry.slewing = false")
 
 
 def _check_size(source: Source, key: Key, keys: CylinderKeys) -> bool:
@@ -145,7 +152,7 @@ def _check_size(source: Source, key: Key, keys: CylinderKeys) -> bool:
     size = areas(keys)
     if size is None:
         given = [f"{name} = {source.value((*key, name))}" for name in SIZE_KEYS if getattr(keys, name) is not None]
-        source.add(key, f" has {', '.join(given) or 'no size'}; its size {SIZES}")
+        source.add(key, f" has {', '.join(given) or 'no size'}", f"its size {SIZES}")
         return False
     if size[1] <= 0.0:
         source.refuse((*key, "rod"), f"must be below bore = {source.value((*key, 'bore'))}")
@@ -169,7 +176,7 @@ def _check_map(source: Source, given: EfficiencyMap, max_flow: float) -> None:
     wrong = [(name, where, entries) for name, where, entries in axes if len(entries) != len(getattr(given, name))]
     for name, where, entries in wrong:
         count = len(getattr(given, name))
-        source.add(where, f" has {len(entries)} entries; must have {count}, one for each of {name}")
+        source.add(where, f" has {len(entries)} entries", f"must have {count}, one for each of {name}")
     if not given.speeds[0] <= given.speed <= given.speeds[-1]:
         ends = [source.value((*key, "speeds", i)) for i in (0, len(given.speeds) - 1)]
         source.refuse((*key, "speed"), f"must be from {ends[0]} to {ends[1]}, the ends of speeds")
@@ -188,7 +195,8 @@ def _check_map(source: Source, given: EfficiencyMap, max_flow: float) -> None:
         source.add(
             (*key, "total"),
             f" is no map of a pump: losses that rise with pressure and flow meet its powers within "
-            f"{100.0 * met.typical:.1f} %; must be within {100.0 * ALLOWED:g} %; "
+            f"{100.0 * met.typical:.1f} %",
+            f"must be within {100.0 * ALLOWED:g} %; "
             f"farthest off, by {100.0 * met.largest:.0f} %, is {at_speed(given)[i, j]:.4g} at {place}",
         )
 
@@ -207,20 +215,20 @@ def _check_linkage(source: Source, key: Key, keys: CylinderKeys, joint: tuple[fl
     span = f"joints.{name} = [{joint[0]:.6g}, {joint[1]:.6g}] {unit}"
     with np.errstate(all="ignore"):
         open_at = q[~_closes(shape, q)] if isinstance(shape, FourBar) else q[:0]
-        length, arm, _ = cylinder(shape, q)
+        _, arm, _ = cylinder(shape, q)
         dead = q[~(arm * arm[0] > _SMALLEST_ARM * abs(arm[0]))]
     where = (*key, "linkage")
     if open_at.size:
-        source.add(where, f" = {kind}; must close over {span}, but does not at {open_at[0]:.3f} {unit}")
+        source.add(where, f" = {kind}", f"must close over {span}, but does not at {open_at[0]:.3f} {unit}")
     elif dead.size:
         place = f"{dead[0]:.3f} {unit}"
-        source.add(where, f" = {kind}; must have a torque arm over {span}, but passes a dead centre at {place}")
-    else:
-        change = abs(float(length[-1] - length[0]))
+        source.add(where, f" = {kind}", f"must have a torque arm over {span}, but passes a dead centre at {place}")
+    elif keys.stroke is not None:
+        change = stroke(shape, *joint)
         if abs(change - keys.stroke) > max(1e-3, 0.02 * keys.stroke):
             source.refuse(
                 (*key, "stroke"),
-                f"must be {change:.4f} m within 2 %, the change of the cylinder's length over {span}",
+                f"must be {change:.4f} m within 2 %, the change of the cylinder's length over {span}, or be left out",
             )
 
 
@@ -242,11 +250,12 @@ def check_task(source: Source, machine: Machine | None) -> None:
     if lines and len(lines.points) != len(lines.durations) + 1:
         source.add(
             ("path", "durations"),
-            f" has {len(lines.durations)} entries; must have {len(lines.points) - 1}, one less than points",
+            f" has {len(lines.durations)} entries",
+            f"must have {len(lines.points) - 1}, one less than points",
         )
     if spline and len(spline.points) != len(spline.times):
-        counts = f" has {len(spline.times)} entries; must have {len(spline.points)}, as many as points"
-        source.add(("path", "times"), counts)
+        count = f"must have {len(spline.points)}, as many as points"
+        source.add(("path", "times"), f" has {len(spline.times)} entries", count)
     if machine is None:
         return
     for i, point in enumerate(keys.points if keys else ()):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 
@@ -11,10 +12,26 @@ class LeanboomError(Exception):
     exit_code = 2
 
 
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing that is wrong with a file."""
+
+    file: str  # as shown in messages
+    line: int | None  # from 1
+    key: str  # dotted; empty if the file as a whole is meant
+    value: str | None  # as written; None if it is none, or more than one
+    allowed: str  # what must be there; empty if nothing can
+    text: str  # the whole message, after file and line
+
+
 class InputError(LeanboomError):
     """A file, an argument or an option that cannot be used; the text says what to change."""
 
     exit_code = 2
+
+    def __init__(self, text: str, problems: tuple[Problem, ...] = ()):
+        super().__init__(text)
+        self.problems = problems  # of a file, one by one
 
 
 class InfeasibleError(LeanboomError):

@@ -6,38 +6,49 @@ from typing import Annotated
 
 import typer
 
-from leanboom.errors import LeanboomError
-from leanboom.terminal import Json, complain, print_json
+from leanboom.terminal import Json, bundled, complain, print_json
 
 
 def check(
     names: Annotated[
-        list[str], typer.Argument(metavar="FILE...", help="Machine or task files, or names of bundled ones.")
+        list[str],
+        typer.Argument(
+            metavar="FILE",
+            help="Machine or task files, or names of bundled ones.",
+            autocompletion=bundled("machine", "task"),
+        ),
     ],
+    as_json: Json = False,
 ) -> None:
     """Check machine and task files; say where their values come from."""
     from leanboom import inspection, tables
     from leanboom.console import output
-    from leanboom.machine import Machine
 
-    console = output()
-    code = 0
+    console, told = output(), []
+    found = []
     for name in names:
-        try:
-            found = inspection.load(name)
-            tables.checked_machine(console, name, found) if isinstance(found, Machine) else tables.checked_task(
-                console, name, found
-            )
-        except LeanboomError as error:
-            complain(error)
-            code = max(code, error.exit_code)
+        found.append(inspection.check(name))
+        if not as_json:
+            tables.checked(console, found[-1], found[-1].machine in told)
+        if found[-1].error is None:
+            told.append(found[-1].machine)
+        else:
+            complain(found[-1].error)
+    if as_json:
+        print_json([each.json() for each in found])
+    code = max((each.error.exit_code for each in found if each.error is not None), default=0)
     if code:
         raise typer.Exit(code)
 
 
 def machines(
     name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="A bundled machine or a machine file to show in detail.")
+        str | None,
+        typer.Argument(
+            metavar="NAME",
+            help="A bundled machine or a machine file to show in detail.",
+            autocompletion=bundled("machine"),
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -58,7 +69,12 @@ def machines(
 
 def tasks(
     name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="A bundled task or a task file to show in detail.")
+        str | None,
+        typer.Argument(
+            metavar="NAME",
+            help="A bundled task or a task file to show in detail.",
+            autocompletion=bundled("task"),
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:

@@ -155,7 +155,7 @@ def _start(start: str | float, machine: Machine) -> str | float:
     return value
 
 
-def _machine_of(source: Source, folder: Path) -> tuple[Machine | None, tuple[str, ...]]:
+def _machine_of(source: Source, folder: Path) -> tuple[Machine | None, tuple[InputError, ...]]:
     """The machine of a task file; or None and what is wrong with the machine's own file."""
     from leanboom.source import read
 
@@ -170,7 +170,7 @@ def _machine_of(source: Source, folder: Path) -> tuple[Machine | None, tuple[str
     try:
         return _machine(read(path, name), path), ()
     except InputError as error:
-        return None, (str(error),)
+        return None, (error,)
 
 
 def _open(kind: str, wanted: str | Path) -> tuple[Path, Source]:
@@ -222,7 +222,7 @@ def _machine(source: Source, path: Path) -> Machine:
         description=keys.description,
         geometry=Geometry(**keys.geometry.model_dump()),
         joints=tuple(Joint(name, *getattr(keys.joints, name)) for name in names),
-        cylinders=tuple(_cylinder(name, getattr(keys.cylinders, name)) for name in names),
+        cylinders=tuple(_cylinder(name, getattr(keys.cylinders, name), getattr(keys.joints, name)) for name in names),
         bodies=tuple(Body(name=name, **body.model_dump()) for name, body in keys.bodies.items()),
         payload_along=keys.payload.along,
         payload_above=keys.payload.above,
@@ -243,21 +243,22 @@ def _name(keys: Section | None, source: Source, path: Path) -> str:
 
     name = getattr(keys, "name", None) or Name.made_of(path.stem)
     if not name:
-        source.add(("name",), f" is missing, and the file's name has no letter or digit to make one of; {Name.allowed}")
+        missing = " is missing, and the file's name has no letter or digit to make one of"
+        source.add(("name",), missing, Name.allowed)
     return name
 
 
-def _cylinder(name: str, keys: CylinderKeys) -> Cylinder:
-    from leanboom.consistency import areas, linkage
+def _cylinder(name: str, keys: CylinderKeys, joint: tuple[float, float]) -> Cylinder:
+    from leanboom.consistency import areas, linkage, stroke
 
-    size = areas(keys)
+    size, shape = areas(keys), linkage(keys.linkage)
     assert size is not None  # checked
     return Cylinder(
         name=name,
         piston_area=size[0],
         rod_side_area=size[1],
-        stroke=keys.stroke,
-        linkage=linkage(keys.linkage),
+        stroke=stroke(shape, *joint) if keys.stroke is None else keys.stroke,
+        linkage=shape,
         connection=Connection(keys.connection),
         friction=Friction(**keys.friction.model_dump()),
         velocity_limit=keys.velocity_limit,
@@ -307,15 +308,15 @@ def _validated(model: type[Section], source: Source) -> Section | None:
             key = _key(source, line["loc"])
             key = (*key, context["key"]) if context["key"] else key
             if line["type"] == "missing":
-                source.add(key, f" is missing; {context['allowed']}")
+                source.add(key, " is missing", context["allowed"])
             elif line["type"] == "unknown":
-                source.add(key, f" is not a key here; valid keys: {context['allowed']}")
+                source.add(key, " is not a key here", f"valid keys: {context['allowed']}")
             elif key and key[-1] == "[key]":  # pydantic's word for a wrong key of a mapping
-                source.add(key[:-1], f" has a wrong name; {context['allowed']}")
+                source.add(key[:-1], " has a wrong name", context["allowed"])
             elif key:
                 source.refuse(key, context["allowed"])
             else:
-                source.add((), f"the file {context['allowed']}")
+                source.add((), "", f"the file {context['allowed']}")
         return None
 
 

@@ -7,17 +7,17 @@ machine's valve. They show slips in masses, lengths and bores that no single val
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from leanboom import crane as cranes
 from leanboom import files, hydraulics, kinematics, linkages, shaft
-from leanboom.errors import InputError
+from leanboom.errors import LeanboomError, Problem
 from leanboom.machine import Body, EfficiencyMap, Machine
-from leanboom.source import read, shortened
+from leanboom.source import read, shortened, unusable
 from leanboom.task import sample
 
 if TYPE_CHECKING:
@@ -165,28 +165,73 @@ def path(task: Task) -> PathFacts:
     return PathFacts(length, fastest, (float(problem.lower[0]), float(problem.upper[0])))
 
 
-def load(name: str) -> Machine | Task:
-    """The machine or the task of a bundled name or a file, whichever it is.
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """What a look at one file finds."""
+
+    file: str  # as asked for: a path or a bundled name
+    kind: Literal["machine", "task"] | None  # None if the file cannot be read
+    found: Machine | Task | None  # None if something is wrong with the file
+    path: PathFacts | None  # of a task whose path can be reached
+    error: LeanboomError | None  # what is wrong, with the file or with the task's path
+
+    @property
+    def machine(self) -> Machine | None:
+        """The machine itself, or that of the task."""
+        return self.found if isinstance(self.found, Machine | None) else self.found.machine
+
+    def json(self) -> dict[str, Any]:
+        """The same as `check --json` prints it."""
+        problems = [asdict(problem) for problem in getattr(self.error, "problems", ())]
+        if self.error is not None and not problems:
+            told = Problem(self.file, None, "", None, "", str(self.error))
+            problems = [asdict(told)]
+        return {
+            "file": self.file,
+            "kind": self.kind,
+            "name": None if self.found is None else self.found.name,
+            "machine": None if self.machine is None else self.machine.name,
+            "values": None if self.machine is None else count(self.machine),
+            "problems": problems,
+            "notes": [] if self.machine is None else list(doubts(self.machine)),
+        }
+
+
+def check(name: str) -> Checked:
+    """Look at a machine or a task.
 
     Args:
         name: Bundled name or path of a file.
+    """
+    kind = found = None
+    try:
+        kind = _kind(name)
+        found = files.load_task(name) if kind == "task" else files.load_machine(name)
+        facts = None if isinstance(found, Machine) else path(found)
+    except LeanboomError as error:
+        return Checked(name, kind, found, None, error)
+    return Checked(name, kind, found, facts, None)
+
+
+def _kind(name: str) -> Literal["machine", "task"]:
+    """Whether a bundled name or a file is a machine or a task.
 
     Raises:
-        InputError: There is no such thing, or its file has problems; all of them are named.
+        InputError: There is no such thing, or the file cannot be read.
     """
     if name in files.bundled_machines():
-        return files.load_machine(name)
+        return "machine"
     if name in files.bundled_tasks():
-        return files.load_task(name)
+        return "task"
     try:
         is_file = Path(name).is_file()
     except (OSError, ValueError):  # a name no file can have
         is_file = False
     if not is_file:
-        raise InputError(
-            f"{shortened(name, 200) or 'nothing'}: is no file and no bundled name; "
-            f"machines: {', '.join(files.bundled_machines())}; tasks: {', '.join(files.bundled_tasks())}"
+        raise unusable(
+            shortened(name, 200) or "nothing",
+            f"is no file and no bundled name; machines: {', '.join(files.bundled_machines())}; "
+            f"tasks: {', '.join(files.bundled_tasks())}",
         )
     keys = read(Path(name), name).data
-    is_task = isinstance(keys, dict) and ("path" in keys or "machine" in keys)
-    return files.load_task(name) if is_task else files.load_machine(name)
+    return "task" if isinstance(keys, dict) and ("path" in keys or "machine" in keys) else "machine"

@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 import typer
 
 from leanboom.errors import InputError
-from leanboom.terminal import Json, Progress, complain, duration, percent, print_json, settings
+from leanboom.terminal import Json, Progress, Task, bundled, complain, duration, percent, print_json, settings
 
 
 def plan(
-    task: Annotated[str, typer.Argument(metavar="TASK", help="A bundled task (see: leanboom tasks) or a task file.")],
+    task: Task,
     pump: Annotated[
         Literal["ls", "cp"], typer.Option(help="Whose energy counts: load-sensing or constant-pressure pump.")
     ] = "ls",
@@ -91,7 +91,7 @@ def plan(
 
 
 def certify(
-    task: Annotated[str, typer.Argument(metavar="TASK", help="A bundled task (see: leanboom tasks) or a task file.")],
+    task: Task,
     pump: Annotated[
         Literal["ls", "cp"], typer.Option(help="Whose energy counts: load-sensing or constant-pressure pump.")
     ] = "ls",
@@ -133,7 +133,12 @@ def certify(
 
 def simulate(
     task: Annotated[
-        str, typer.Argument(metavar="TASK|RUN", help="A bundled task, a task file, or the run folder of a plan.")
+        str,
+        typer.Argument(
+            metavar="TASK|RUN",
+            help="A bundled task, a task file, or the run folder of a plan.",
+            autocompletion=bundled("task"),
+        ),
     ],
     pump: Annotated[
         str | None, typer.Option(help="ls or cp. By default that of the run folder; of a task, ls.")

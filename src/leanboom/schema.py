@@ -270,8 +270,8 @@ class CylinderKeys(Section):
     """Area on the piston side, in place of bore; with rod_side_area."""
     rod_side_area: Area | None = None
     """Area on the rod side, at most the piston side's."""
-    stroke: PositiveLength
-    """Stroke; must be the change of length over the joint's range, within 2 %."""
+    stroke: Annotated[float | None, Quantity("length", above=0)] = None
+    """Must be the change of length over the joint's range, within 2 %; that change if not given."""
     linkage: Annotated[
         RackAndPinionKeys | TriangleKeys | FourBarKeys | PolynomialKeys | TelescopeKeys,
         Field(discriminator="type"),

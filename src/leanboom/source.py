@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from operator import itemgetter
 from pathlib import Path
 
-from leanboom.errors import InputError
+from leanboom.errors import InputError, Problem
 
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 12
@@ -37,7 +36,7 @@ class Source:
     data: Data = None
     lines: dict[Key, int] = field(default_factory=dict)  # first line of a key or list item, from 1
     ends: dict[Key, tuple[int, int]] = field(default_factory=dict)  # where a scalar's text ends: line from 0, column
-    problems: list[tuple[int, str]] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
 
     def line(self, key: Key) -> int:
         """Line of a key, or of the nearest enclosing one that exists."""
@@ -52,25 +51,31 @@ class Source:
             node = node[step]  # type: ignore[index]
         return node
 
-    def add(self, key: Key, text: str) -> None:
-        """Note a problem at a key."""
-        self.problems.append((self.line(key), f"{dotted(key)}{text}"))
+    def add(self, key: Key, found: str, allowed: str, value: str | None = None) -> None:
+        """Note a problem at a key: what is found there, and what is allowed."""
+        text = "; ".join(part for part in (f"{dotted(key)}{found}", allowed) if part)
+        self.problems.append(Problem(self.name, self.line(key), dotted(key), value, allowed, text))
 
     def refuse(self, key: Key, allowed: str) -> None:
         """Note that the value at a key is not what is allowed there."""
-        self.add(key, f" = {shown(self.value(key))}; {allowed}")
+        value = shown(self.value(key))
+        self.add(key, f" = {value}", allowed, value)
 
-    def report(self, *others: str) -> None:
+    def report(self, *others: InputError) -> None:
         """Raise all problems as one InputError, in the order of their lines.
 
         Args:
-            others: Messages about other files to be raised along.
+            others: What is wrong with other files, to be raised along.
         """
-        messages = [f"{self.name}:{line}: {text}" for line, text in sorted(self.problems, key=itemgetter(0))]
-        if len(messages) > MAX_PROBLEMS:
-            messages[MAX_PROBLEMS:] = [f"{self.name}: and {len(messages) - MAX_PROBLEMS} more problems"]
+        found = sorted(self.problems, key=lambda problem: problem.line or 0)
+        messages = [f"{self.name}:{problem.line}: {problem.text}" for problem in found]
+        if len(found) > MAX_PROBLEMS:
+            rest = f"and {len(found) - MAX_PROBLEMS} more problems"
+            messages[MAX_PROBLEMS:] = [f"{self.name}: {rest}"]
+            found[MAX_PROBLEMS:] = [Problem(self.name, None, "", None, "", rest)]
         if messages or others:
-            raise InputError("\n".join([*messages, *others]))
+            problems = (*found, *(problem for other in others for problem in other.problems))
+            raise InputError("\n".join([*messages, *map(str, others)]), problems)
 
     def statuses(self) -> dict[Key, tuple[str, str]]:
         """Status and note of every scalar, from the comment that ends its line; ("unstated", "") without one.
@@ -112,6 +117,19 @@ def shortened(text: str, length: int) -> str:
     return text if len(text) <= length else f"{text[: length - 3]}..."
 
 
+def unusable(name: str, text: str, line: int | None = None, column: int | None = None) -> InputError:
+    """The error for a file that cannot be used as a whole.
+
+    Args:
+        name: The file as it is called in messages.
+        text: What is wrong.
+        line: Where, from 1; None if nowhere in particular.
+        column: Where in the line, from 1.
+    """
+    where = ":".join(str(part) for part in (name, line, column) if part is not None)
+    return InputError(f"{where}: {text}", (Problem(name, line, "", None, "", text),))
+
+
 def read(path: Path, name: str) -> Source:
     """Read a YAML file.
 
@@ -129,15 +147,15 @@ def read(path: Path, name: str) -> Source:
         with path.open("rb") as stream:
             content = stream.read(MAX_BYTES + 1)
     except OSError as error:
-        raise InputError(f"{name}: cannot be read: {error.strerror}") from None
+        raise unusable(name, f"cannot be read: {error.strerror}") from None
     if len(content) > MAX_BYTES:
-        raise InputError(f"{name}: is above 1 MiB; a machine or task file is a few kilobytes")
+        raise unusable(name, "is above 1 MiB; a machine or task file is a few kilobytes")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
         byte = content[error.start]
-        raise InputError(f"{name}:{line}: is not UTF-8 text; byte {error.start} is 0x{byte:02x}") from None
+        raise unusable(name, f"is not UTF-8 text; byte {error.start} is 0x{byte:02x}", line) from None
     return parse(text, name)
 
 
@@ -153,14 +171,14 @@ def parse(text: str, name: str) -> Source:
     except ReaderError as error:
         line = text[: error.position].count("\n") + 1
         code = error.character if isinstance(error.character, int) else ord(error.character)
-        raise InputError(f"{name}:{line}: character #x{code:04x} is not allowed in YAML") from None
+        raise unusable(name, f"character #x{code:04x} is not allowed in YAML", line) from None
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        where = f"{name}:{mark.line + 1}:{mark.column + 1}" if mark else name
+        where = (mark.line + 1, mark.column + 1) if mark else ()
         reason = "; ".join(str(part) for part in (error.problem, error.context) if part)
-        raise InputError(f"{where}: is not valid YAML: {shortened(reason, 200)}") from None
+        raise unusable(name, f"is not valid YAML: {shortened(reason, 200)}", *where) from None
     except (YAMLError, OverflowError, ValueError) as error:  # the last two: escapes of characters that do not exist
-        raise InputError(f"{name}: is not valid YAML: {shortened(str(error), 200)}") from None
+        raise unusable(name, f"is not valid YAML: {shortened(str(error), 200)}") from None
     return source
 
 
@@ -183,22 +201,22 @@ class _Builder:
         next(self.events)  # end of the document
         event = next(self.events)
         if isinstance(event, kinds.DocumentStartEvent):
-            raise InputError(f"{self.where(event)}: a second document begins; one file holds one machine or task")
+            raise self.refusal(event, "a second document begins; one file holds one machine or task")
         return data
 
-    def where(self, event) -> str:
-        return f"{self.source.name}:{event.start_mark.line + 1}"
+    def refusal(self, event, text: str) -> InputError:
+        return unusable(self.source.name, text, event.start_mark.line + 1)
 
     def node(self, event, key: Key, depth: int) -> Data:
         """The data of the node that begins with an event."""
         kinds = self.kinds
         if isinstance(event, kinds.AliasEvent) or getattr(event, "anchor", None):
-            raise InputError(f"{self.where(event)}: anchors and aliases (& and *) are not allowed; write the value out")
+            raise self.refusal(event, "anchors and aliases (& and *) are not allowed; write the value out")
         if event.tag is not None:
             tag = shortened(event.tag, 60)
-            raise InputError(f"{self.where(event)}: tags ({tag}) are not allowed; write the value alone")
+            raise self.refusal(event, f"tags ({tag}) are not allowed; write the value alone")
         if depth > MAX_DEPTH:
-            raise InputError(f"{self.where(event)}: is nested deeper than {MAX_DEPTH} levels")
+            raise self.refusal(event, f"is nested deeper than {MAX_DEPTH} levels")
         self.source.lines.setdefault(key, event.start_mark.line + 1)
         if isinstance(event, kinds.ScalarEvent):
             self.source.ends[key] = (event.end_mark.line, event.end_mark.column)
@@ -215,13 +233,14 @@ class _Builder:
         result: dict[str, Data] = {}
         while not isinstance(event := next(self.events), self.kinds.MappingEndEvent):
             if not isinstance(event, self.kinds.ScalarEvent):
-                raise InputError(f"{self.where(event)}: a key must be a plain word")
+                raise self.refusal(event, "a key must be a plain word")
             line = event.start_mark.line + 1
             name = event.value
             here = (*key, name)
             if name in result:
                 first = self.source.lines[here]
-                self.source.problems.append((line, f"{dotted(here)} is given twice; first in line {first}"))
+                text = f"{dotted(here)} is given twice; first in line {first}"
+                self.source.problems.append(Problem(self.source.name, line, dotted(here), None, "", text))
                 self.node(next(self.events), (*key, f"{name} (twice, line {line})"), depth + 1)
                 continue
             self.source.lines[here] = line

@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from leanboom.terminal import Json, Progress, complain, listed, print_json
+from leanboom.terminal import Json, Progress, Task, complain, listed, print_json
 
 
 def compare(
-    task: Annotated[str, typer.Argument(metavar="TASK", help="A bundled task (see: leanboom tasks) or a task file.")],
+    task: Task,
     pump: Annotated[str, typer.Option(metavar="NAMES", help="Whose energy counts: ls, cp or ls,cp.")] = "ls,cp",
     start: Annotated[
         str | None,
@@ -71,7 +71,7 @@ def reproduce(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[NAME...]",
+            metavar="NAME",
             help="all, or some of table2, table3, fig8, fig10, sizing, horizontal, vertical, half-cycle, tracking, "
             "sensitivity.",
         ),

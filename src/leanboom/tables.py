@@ -12,13 +12,12 @@ from leanboom import inspection, shaft
 from leanboom.console import add_row, length, new_table, say, show
 from leanboom.machine import EfficiencyMap
 from leanboom.source import shortened
-from leanboom.task import Spline, written
+from leanboom.task import Spline, Task, written
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from leanboom.machine import Machine, Pump
-    from leanboom.task import Task
 
 
 def machine_facts(machine: Machine) -> dict[str, Any]:
@@ -203,36 +202,31 @@ def task_detail(console: Console, task: Task) -> None:
     show(console, table)
 
 
-def checked_machine(console: Console, name: str, machine: Machine) -> None:
-    """What `check` says of a machine.
+def checked(console: Console, found: inspection.Checked, known: bool) -> None:
+    """What `check` says of a machine, or of a task and its machine; nothing of one that is wrong.
 
     Args:
         console: Where to print.
-        name: What was asked for.
-        machine: The machine.
+        found: What the look at the file found.
+        known: Whether the machine was told of before.
     """
-    say(console, f"{shortened(name, 200)}: machine {shortened(machine.name, 80)} is right.", "bold")
-    _machine_report(console, machine)
+    if found.error is not None or found.found is None or found.machine is None:
+        return
+    name = shortened(found.found.name, 80)
+    say(console, f"{shortened(found.file, 200)}: {found.kind} {name} is right.", "bold")
+    if isinstance(found.found, Task) and found.path is not None:
+        _path_report(console, found.found, found.path)
+    if known:
+        say(console, f"Machine           {found.machine.name}, as above\n")
+    else:
+        _machine_report(console, found.machine)
 
 
-def checked_task(console: Console, name: str, task: Task) -> None:
-    """What `check` says of a task and its machine.
-
-    Args:
-        console: Where to print.
-        name: What was asked for.
-        task: The task.
-
-    Raises:
-        InfeasibleError: If the tool cannot be everywhere on its path, whatever the extension.
-    """
-    facts = inspection.path(task)
-    say(console, f"{shortened(name, 200)}: task {shortened(task.name, 80)} is right.", "bold")
+def _path_report(console: Console, task: Task, facts: inspection.PathFacts) -> None:
     low, high = facts.start
     say(console, f"Path              {facts.length:.2f} m in {task.duration:g} s, at most {facts.fastest:.2f} m/s")
     say(console, f"Payload           {task.payload:g} kg")
     say(console, f"Start             {_start(task)}; {low:.4f} m to {high:.4f} m of the extension cylinder can be")
-    _machine_report(console, task.machine)
 
 
 def _machine_report(console: Console, machine: Machine) -> None:

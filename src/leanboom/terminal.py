@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
@@ -13,6 +14,30 @@ from leanboom.errors import InputError, LeanboomError
 PATIENCE = 1.0  # [s], a command that takes longer says what it does
 INTERVAL = 10.0  # [s], at least, between two lines about one beginning
 
+
+def bundled(*kinds: str) -> Callable[[str], list[str]]:
+    """What completes the beginning of a name, for the shell, out of the bundled names of some kinds.
+
+    Where none fits, the shell goes on with the names of files.
+    """
+
+    def complete(incomplete: str) -> list[str]:
+        from leanboom import files
+
+        names = {"machine": files.bundled_machines, "task": files.bundled_tasks}
+        return [name for kind in kinds for name in names[kind]() if name.startswith(incomplete)]
+
+    return complete
+
+
+Task = Annotated[
+    str,
+    typer.Argument(
+        metavar="TASK",
+        help="A bundled task (see: leanboom tasks) or a task file.",
+        autocompletion=bundled("task"),
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
 
 _GRID = re.compile(r"([0-9]{1,6})[xX]([0-9]{1,6})")

@@ -9,13 +9,14 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from leanboom.consistency import SIZE_KEYS, areas
+from leanboom.consistency import SIZE_KEYS, areas, stroke
 from leanboom.errors import InputError
 from leanboom.machine import (
     METERING,
     Circuit,
     Cylinder,
     FourBar,
+    Joint,
     Linkage,
     Machine,
     MobileValve,
@@ -41,7 +42,10 @@ def machine_text(machine: Machine) -> str:
         "description": machine.description,
         "geometry": asdict(machine.geometry),
         "joints": {joint.name: [joint.lower, joint.upper] for joint in machine.joints},
-        "cylinders": {cylinder.name: _cylinder(cylinder, origin) for cylinder in machine.cylinders},
+        "cylinders": {
+            cylinder.name: _cylinder(cylinder, joint, origin)
+            for cylinder, joint in zip(machine.cylinders, machine.joints, strict=True)
+        },
         "bodies": {body.name: _without(asdict(body), "name") for body in machine.bodies},
         "payload": {"along": machine.payload_along, "above": machine.payload_above},
         "valve": {
@@ -94,8 +98,11 @@ def _without(values: dict[str, Any], *names: str) -> dict[str, Any]:
     return {name: value for name, value in values.items() if name not in names}
 
 
-def _cylinder(cylinder: Cylinder, origin: dict[str, Provenance]) -> dict[str, Any]:
+def _cylinder(cylinder: Cylinder, joint: Joint, origin: dict[str, Provenance]) -> dict[str, Any]:
     values = _without(asdict(cylinder), "name", "piston_area", "rod_side_area")
+    given = f"cylinders.{cylinder.name}.stroke" in origin
+    if not given and cylinder.stroke == stroke(cylinder.linkage, joint.lower, joint.upper):
+        del values["stroke"]  # reading finds the same
     linkage = {"type": _linkage_type(cylinder.linkage), **asdict(cylinder.linkage)}
     values |= {"linkage": linkage, "connection": cylinder.connection.value}
     return _size(cylinder, origin) | values
