@@ -1,4 +1,4 @@
-"""The command line: `leanboom plan`, `certify`, `simulate`, `compare`, `reproduce`, `check`, `machines`, `tasks`.
+"""The command line: `plan`, `certify`, `simulate`, `compare`, `reproduce`, `new`, `check`, `machines`, `tasks`.
 
 Results go to standard output, for people as tables and with `--json` as one object and nothing else; progress and
 problems go to standard error. Exit codes: 0 done, 1 no feasible motion, 2 bad input, 130 interrupted. Whatever a
@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperGroup
 
 from leanboom.errors import InputError, LeanboomError
-from leanboom.file_commands import check, machines, tasks
+from leanboom.file_commands import check, machines, new, tasks
 from leanboom.planning_commands import certify, plan, simulate
 from leanboom.study_commands import compare, reproduce
 from leanboom.terminal import complain
@@ -72,5 +72,5 @@ def _leanboom(
     """Energy-optimal motion planning for redundant hydraulic cranes."""
 
 
-for _command in (plan, certify, simulate, compare, reproduce, check, machines, tasks):
+for _command in (plan, certify, simulate, compare, reproduce, new, check, machines, tasks):
     app.command()(_command)

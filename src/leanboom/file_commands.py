@@ -1,12 +1,29 @@
-"""The commands about machine and task files: `check`, `machines`, `tasks`."""
+"""The commands about machine and task files: `new`, `check`, `machines`, `tasks`."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Literal
 
 import typer
 
 from leanboom.terminal import Json, bundled, complain, print_json
+
+
+def new(
+    kind: Annotated[Literal["machine", "task"], typer.Argument(help="What the file is to describe.")],
+    path: Annotated[
+        Path | None, typer.Argument(metavar="FILE", help="Where to write it; by default to standard output.")
+    ] = None,
+) -> None:
+    """Write a machine or task file to begin with, every key explained."""
+    from leanboom import starter
+
+    if path is None:
+        typer.echo(starter.text(kind), nl=False)
+        return
+    starter.write(kind, path)
+    typer.echo(f"Written: {path}; check it with: leanboom check {path}")
 
 
 def check(

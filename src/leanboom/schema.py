@@ -291,6 +291,7 @@ class CylinderSet(Section):
     """The cylinders, by the joint they move."""
 
     base: CylinderKeys | None = None
+    """Only if the machine slews."""
     lift: CylinderKeys
     tilt: CylinderKeys
     extension: CylinderKeys
@@ -435,20 +436,28 @@ class MachineKeys(Section):
     """By default made of the file's name without its ending."""
     description: Words = ""
     geometry: GeometryKeys
+    """Lengths of the boom in its own vertical plane."""
     joints: JointKeys
+    """Their ranges, [lower, upper]."""
     cylinders: CylinderSet
+    """One for each joint."""
     bodies: Annotated[dict[Identifier, BodyKeys], Bodies()]
+    """Rigid bodies, each under a name of its own."""
     payload: PayloadKeys
+    """Where a task's payload hangs on the outer boom."""
     valve: Annotated[
         MobileValveKeys | IndependentMeteringKeys,
         Field(discriminator="type"),
         Variant("mobile_valve", "independent_metering"),
     ]
+    """The valves of all cylinders."""
     pump: PumpKeys
     driven_velocity: Velocity
     """Slower cylinders count as not driven."""
     dynamics: DynamicsKeys = DynamicsKeys()
+    """What planning takes into account."""
     simulation: CircuitKeys = CircuitKeys()
+    """The hydraulics of the closed-loop simulation."""
     gravity: Gravity = 9.80665
 
 
