@@ -13,7 +13,7 @@ from rich.console import Console
 
 import leanboom as lb
 from leanboom import crane as cranes
-from leanboom import motion, outcomes, planner, pseudo_inverse, runfolder, stages
+from leanboom import inspection, motion, outcomes, planner, pseudo_inverse, runfolder, stages, tables
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.judge import evaluate
 from leanboom.kinematics import ELBOW_DOWN, ELBOW_MARGIN, ELBOW_UP
@@ -143,6 +143,30 @@ def test_energies_of_a_motion_that_cannot_be_made_are_left_out():
     assert "inf" not in out.getvalue().split() and "nan" not in out.getvalue().split()
 
 
+def test_a_path_says_when_a_straight_arm_limits_the_extension():
+    """All along this one, as it moves straight outwards; never where the arm is bent anyway; `check` tells."""
+    facts = inspection.path(OUTWARDS)
+    assert facts.straight == (0.0, OUTWARDS.duration)
+    (note,) = facts.notes
+    assert note.startswith("at times from 0.00 s to 8.00 s a straight arm limits the extension: plans stay 3 deg")
+    assert inspection.path(ray(knuckle(), 0.5, 2.0, 2.4)).notes == ()
+    found = inspection.Checked("ray", "task", OUTWARDS, facts, None)
+    out = io.StringIO()
+    tables.checked(Console(file=out, width=200), found, known=False)
+    assert f"Note              {note}" in out.getvalue()
+    assert note in found.json()["notes"]
+
+
+def test_a_motion_says_where_it_is_as_straight_as_plans_go():
+    start = float(stages.discretise(OUTWARDS, 0.05).lower[0])
+    task = ray(knuckle(), 0.5, STRAIGHT, STRAIGHT - 0.4)
+    judged = evaluate(task, motion.from_velocities(0.1, start, np.zeros(81), "rest", "ls"))
+    assert judged.feasible and judged.bend[0] == pytest.approx(ELBOW_MARGIN, abs=1e-6)
+    assert inspection.straight(judged) == ("straight to within 3.0 deg at 0.000 s, as near as plans go",)
+    bent = ray(knuckle(), 0.5, STRAIGHT - 0.2, STRAIGHT - 0.4)
+    assert inspection.straight(evaluate(bent, judged.motion)) == ()
+
+
 # The two sides of the straight pose
 
 # Nearly upright: with the outer boom folded down the lift joint would have to go beyond its end.
@@ -153,6 +177,7 @@ def test_a_path_reached_on_the_other_side_alone_is_planned_there():
     assert cranes.sides(UPRIGHT.machine) == (ELBOW_UP, ELBOW_DOWN)
     assert cranes.build(UPRIGHT).side == ELBOW_DOWN
     judged = planner.run(UPRIGHT, grid=GRID, step=0.25).evaluation
+    assert "the outer boom is folded up" in inspection.path(UPRIGHT).notes[0]
     assert judged.feasible and np.all(bends(judged) > ELBOW_MARGIN - 0.01)
     assert np.all(judged.joint_position[:, 0] < UPRIGHT.machine.joints[0].upper)
 

@@ -33,6 +33,7 @@ class Crane:
     bodies: tuple[Body, ...]
     drives: tuple[hydraulics.Drive, ...]
     side: float = kinematics.ELBOW_UP  # to which the outer boom folds, kept along the whole path
+    bent: float = kinematics.BENT  # largest |cosine| of the angle at the tilt joint; 1: up to the straight pose
 
     @property
     def ratio(self) -> float:
@@ -169,7 +170,9 @@ def pose(crane: Crane, plane: Plane, stroke: Value) -> Pose:
 def lift_and_tilt(crane: Crane, plane: Plane, q4: Value) -> tuple[Value, Value]:
     """Lift and tilt angle [rad] with the tool at a reference point and the extension at q4 [m], on the crane's side."""
     g = crane.machine.geometry
-    return kinematics.lift_and_tilt(plane.r, plane.z, q4, g.base_x, g.base_z, g.boom, g.offset, g.outer, crane.side)
+    return kinematics.lift_and_tilt(
+        plane.r, plane.z, q4, g.base_x, g.base_z, g.boom, g.offset, g.outer, crane.side, crane.bent
+    )
 
 
 def position_margin(crane: Crane, plane: Plane, stroke: np.ndarray) -> np.ndarray:

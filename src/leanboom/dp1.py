@@ -135,8 +135,8 @@ def stage_cost(model: Model, k: int) -> np.ndarray:
     """Principal cost plus penalties at stage k over the grid, (positions, velocities)."""
     problem = model.problem
     c, w = model.positions[:, None], model.velocities[None, :]
-    with np.errstate(all="ignore"):  # linkages beyond their joints' ranges give no numbers, and are penalised
-        pose = cranes.pose(problem.crane, problem.plane[k], c)
+    with np.errstate(all="ignore"):  # poses out of reach give no numbers, and are penalised
+        pose = cranes.pose(replace(problem.crane, bent=1.0), problem.plane[k], c)  # as in the paper, without a margin
         moving = cranes.move(pose, w + 0.0 * c, 0.0)
         # Quasi-static: gravity alone, no force of inertia.
         gravity = [torque / arm for torque, (_, arm, _) in zip(pose.gravity, pose.cylinders[-3:], strict=True)]

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -115,10 +115,10 @@ def running_cost(model: Model, k: int, c: np.ndarray, v: np.ndarray, a: np.ndarr
     every combination, as the general Matlab code the paper used does with its full state x control arrays.
     """
     c_max, v_max, a_max = model.scale
-    crane = model.problem.crane
+    crane = replace(model.problem.crane, bent=1.0)  # as in the paper, without a margin
     c, v, a = (x.copy() for x in np.broadcast_arrays(c, v, a))
     stroke = c_max * c
-    with np.errstate(all="ignore"):  # linkages beyond their joints' ranges give no numbers, and are penalised
+    with np.errstate(all="ignore"):  # poses out of reach give no numbers, and are penalised
         pose = cranes.pose(crane, model.problem.plane[k], stroke)
         moving = cranes.move(pose, v_max * v, a_max * a)
         power = dp1.principal_cost(crane, model.cost, moving.velocity, cranes.forces(pose, moving))

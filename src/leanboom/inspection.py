@@ -21,10 +21,13 @@ from leanboom.source import read, shortened, unusable
 from leanboom.task import sample
 
 if TYPE_CHECKING:
+    from leanboom.judge import Evaluation
     from leanboom.task import Task
 
 STATUSES = ("printed", "derived", "identified", "assumed", "unstated")
 _ANGLES = 241  # poses looked at for the reach, each way
+_AT_THE_MARGIN = 1e-6  # of the elbow's cosine: such extensions end where the arm would be too nearly straight
+_TOUCHED = 1.01  # an arm within this many times the margin is as near to straight as plans go
 _TRIAL = 1000.0  # [kg], forces are affine in the payload
 
 
@@ -144,6 +147,22 @@ class PathFacts:
     length: float  # [m]
     fastest: float  # largest tool speed [m/s]
     start: tuple[float, float]  # smallest and largest feasible start of the extension cylinder [m]
+    folded_up: bool  # whether the outer boom has to be folded up from the boom, all along
+    straight: tuple[float, float] | None  # first and last time at which a straight arm limits the extension [s]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """On which side of the straight pose the crane works, and when that pose is in the way, one sentence each."""
+        found = []
+        if self.folded_up:
+            found.append("the outer boom is folded up: some point of the path cannot be reached with it folded down")
+        if self.straight is not None:
+            first, last = self.straight
+            found.append(
+                f"at times from {first:.2f} s to {last:.2f} s a straight arm limits the extension: plans stay "
+                f"{np.degrees(kinematics.ELBOW_MARGIN):g} deg away from it"
+            )
+        return tuple(found)
 
 
 def path(task: Task) -> PathFacts:
@@ -162,7 +181,30 @@ def path(task: Task) -> PathFacts:
     length = float(np.linalg.norm(np.diff(points.point, axis=0), axis=1).sum())
     problem = stages.discretise(task, max(0.05, task.duration / 400.0))
     fastest = float(np.linalg.norm(points.velocity, axis=1).max())
-    return PathFacts(length, fastest, (float(problem.lower[0]), float(problem.upper[0])))
+    ends = np.stack([problem.lower, problem.upper]) / problem.crane.ratio
+    nearest = np.abs(cranes.elbow_cosine(problem.crane, problem.plane, ends)).max(axis=0)
+    at = problem.time[nearest > kinematics.BENT - _AT_THE_MARGIN]
+    return PathFacts(
+        length,
+        fastest,
+        (float(problem.lower[0]), float(problem.upper[0])),
+        problem.crane.side == kinematics.ELBOW_DOWN,
+        (float(at[0]), float(at[-1])) if at.size else None,
+    )
+
+
+def straight(judged: Evaluation) -> tuple[str, ...]:
+    """Where a motion's arm is as nearly straight, or folded up, as it may be, as a sentence; or nothing.
+
+    Args:
+        judged: The motion.
+    """
+    room = np.minimum(judged.bend, np.pi - judged.bend)
+    i = int(room.argmin())
+    if room[i] > _TOUCHED * kinematics.ELBOW_MARGIN:
+        return ()
+    pose = "straight" if judged.bend[i] < 0.5 * np.pi else "folded up"
+    return (f"{pose} to within {np.degrees(room[i]):.1f} deg at {judged.time[i]:.3f} s, as near as plans go",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +228,8 @@ class Checked:
         if self.error is not None and not problems:
             told = Problem(self.file, None, "", None, "", str(self.error))
             problems = [asdict(told)]
+        notes = () if self.machine is None else doubts(self.machine)
+        notes += () if self.path is None else self.path.notes
         return {
             "file": self.file,
             "kind": self.kind,
@@ -193,7 +237,7 @@ class Checked:
             "machine": None if self.machine is None else self.machine.name,
             "values": None if self.machine is None else count(self.machine),
             "problems": problems,
-            "notes": [] if self.machine is None else list(doubts(self.machine)),
+            "notes": list(notes),
         }
 
 

@@ -88,6 +88,12 @@ class Evaluation:
         return not self.violations
 
     @property
+    def bend(self) -> np.ndarray:
+        """Angle between the boom and the line from tilt joint to tool, 0 with the arm straight [rad], (samples,)."""
+        g = self.task.machine.geometry
+        return np.abs(self.joint_position[:, -2] + np.arctan2(g.offset, g.outer + self.joint_position[:, -1]))
+
+    @property
     def worst_use(self) -> float:
         """Largest use of any limit, that of the path's tolerance among them."""
         return max(self.limit_use.worst, self.path_error / PATH_TOLERANCE)

@@ -40,14 +40,14 @@ def elbow_cosine(r, z, q4, ox, oz, L1, L2, L3):
 
 
 @formula
-def lift_and_tilt(r, z, q4, ox, oz, L1, L2, L3, side=ELBOW_UP):
+def lift_and_tilt(r, z, q4, ox, oz, L1, L2, L3, side=ELBOW_UP, bent=BENT):
     """Lift and tilt angle [rad] that put the tool at (r, z) with extension q4: the h2, h3 of eq. (33).
 
     On one side of the straight arm, `ELBOW_UP` (outer boom folded down, as on both papers' machines) or `ELBOW_DOWN`.
     A straight or folded arm has no inverse, so none is bent by less than `ELBOW_MARGIN`: where that does not reach the
-    tool, the pose is returned that comes nearest to it on the line from the lift joint.
+    tool, the pose is returned that comes nearest to it on the line from the lift joint. `bent` is the margin's cosine.
     """
-    cosine = np.maximum(-BENT, np.minimum(BENT, elbow_cosine(r, z, q4, ox, oz, L1, L2, L3)))
+    cosine = np.maximum(-bent, np.minimum(bent, elbow_cosine(r, z, q4, ox, oz, L1, L2, L3)))
     fold = side * (np.pi - np.arccos(cosine))  # angle of the tool line against the boom line
     e = np.hypot(L3 + q4, L2)
     q3 = fold - np.arctan2(L2, L3 + q4)

@@ -89,6 +89,7 @@ def _facts(result: Plan) -> list[tuple[str, str]]:
         ("Start", f"{length(motion.position[0])} of the extension cylinder"),
         ("Largest use of limits", _use(judged)),
         ("Tool path error", f"{judged.path_error * 1e3:.3f} mm"),
+        *(("Straight arm", text) for text in inspection.straight(judged)),
         ("Solved in", f"{motion.solve_s:.2f} s{memory}"),
     ]
 

@@ -227,6 +227,8 @@ def _path_report(console: Console, task: Task, facts: inspection.PathFacts) -> N
     say(console, f"Path              {facts.length:.2f} m in {task.duration:g} s, at most {facts.fastest:.2f} m/s")
     say(console, f"Payload           {task.payload:g} kg")
     say(console, f"Start             {_start(task)}; {low:.4f} m to {high:.4f} m of the extension cylinder can be")
+    for note in facts.notes:
+        say(console, f"Note              {note}")
 
 
 def _machine_report(console: Console, machine: Machine) -> None:
