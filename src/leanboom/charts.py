@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 PLOT_STEP = 0.02  # [s] between the points of a chart
 PLOT_POINTS = 1500  # at most
+THICKNESS, VISIBLE = 0.036, 0.03  # of the drawn boom, and from which on two are told apart, of the reach
 FRAMES = 121  # poses of the animation; the page interpolates between them
 COLOURS = {"base": "#5b4a9e", "lift": "#0b5c8c", "tilt": "#b4540a", "extension": "#17804a"}
 PLAN_COLOUR = "#0b5c8c"
@@ -45,12 +46,7 @@ def data(plan: Plan) -> dict[str, Any]:
     every = max(int(round(PLOT_STEP / SAMPLE)), -(-judged.time.size // PLOT_POINTS))
     at = np.unique(np.append(np.arange(0, judged.time.size, every), judged.time.size - 1))
     frames = np.unique(np.linspace(0, judged.time.size - 1, FRAMES).round().astype(int))
-    opens = judged.time[judged.time.size // 2]
-    if other is not None:
-        difference = np.abs(judged.length[frames, -1] - other.length[frames, -1])
-        ends = max(1, frames.size // 10)  # a posture at an end tells little
-        difference[:ends] = difference[-ends:] = 0.0
-        opens = judged.time[frames[int(np.nan_to_num(difference).argmax())]]
+    opens = judged.time[judged.time.size // 2] if other is None else postures_apart(plan)[0]
     motions = {"plan": judged} | ({"other": other} if other is not None else {})
     return {
         "duration": plan.task.duration,
@@ -62,6 +58,40 @@ def data(plan: Plan) -> dict[str, Any]:
         "pump": _pump_charts(plan, at),
         "cylinders": _cylinder_charts(plan, at),
     }
+
+
+def postures_apart(plan: Plan) -> tuple[float, float]:
+    """When the boom's postures differ most between plan and pseudo-inverse [s], and by how much [m].
+
+    Args:
+        plan: A plan with a baseline.
+    """
+    assert plan.baseline is not None
+    mine, theirs = (_boom(motion, np.arange(motion.time.size)) for motion in (plan.evaluation, plan.baseline))
+    apart = np.max([np.linalg.norm(a - b, axis=1) for a, b in zip(mine, theirs, strict=True)], axis=0)
+    at = int(apart.argmax())
+    return float(plan.evaluation.time[at]), float(apart[at])
+
+
+def visible(plan: Plan, apart: float) -> bool:
+    """Whether postures so far apart [m] can be told from each other in the drawing."""
+    return apart > VISIBLE * _reach(plan)
+
+
+def _reach(plan: Plan) -> float:
+    """Farthest the path leads from the foot of the boom or the slewing axis [m]."""
+    g, path = plan.task.machine.geometry, plan.evaluation.tool_target
+    radius = np.hypot(path[:, 0], path[:, 1]) if g.slewing else path[:, 0]
+    return float(radius.max() - min(0.0, g.base_x))
+
+
+def _boom(motion: Evaluation, at: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Knee, heel and mouth of the boom in its plane [m], (samples, 2) each."""
+    g = motion.task.machine.geometry
+    q2, q3 = motion.joint_position[at, -3], motion.joint_position[at, -2]
+    knee = np.stack([g.base_x + g.boom * np.cos(q2), g.base_z + g.boom * np.sin(q2)], axis=1)
+    heel = knee + g.offset * np.stack([-np.sin(q2 + q3), np.cos(q2 + q3)], axis=1)
+    return knee, heel, heel + g.outer * np.stack([np.cos(q2 + q3), np.sin(q2 + q3)], axis=1)
 
 
 def _frames(motion: Evaluation, pump: str, frames: np.ndarray) -> dict[str, Any]:
@@ -98,11 +128,8 @@ def _crane(plan: Plan, frames: np.ndarray) -> dict[str, Any]:
     side = [np.stack([radius, path[:, 2]], axis=1), [[-0.6, -0.3], [g.base_x, g.base_z]]]
     above = [path[:, :2], [[-0.8, -0.8], [0.8, 0.8]]]
     for motion in filter(None, (judged, plan.baseline)):
-        q2, q3 = np.nan_to_num(motion.joint_position[frames, -3]), np.nan_to_num(motion.joint_position[frames, -2])
-        knee = np.stack([g.base_x + g.boom * np.cos(q2), g.base_z + g.boom * np.sin(q2)], axis=1)
-        heel = knee + g.offset * np.stack([-np.sin(q2 + q3), np.cos(q2 + q3)], axis=1)
-        side += [knee, heel]
-    reach = float(radius.max() - min(0.0, g.base_x))
+        side += _boom(motion, frames)[:2]
+    beside, over = _same_height(_extent(side, 0.06), _extent(above, 0.06))
     return {
         "slewing": g.slewing,
         "base_x": g.base_x,
@@ -111,12 +138,12 @@ def _crane(plan: Plan, frames: np.ndarray) -> dict[str, Any]:
         "offset": g.offset,
         "outer": g.outer,
         "payload": plan.task.payload,
-        "thickness": round(100.0 * 0.036 * reach, 2),
+        "thickness": round(100.0 * THICKNESS * _reach(plan), 2),
         "colours": colours(machine),
         "path_side": np.round(np.stack([radius, path[:, 2]], axis=1), 4).tolist(),
         "path_above": np.round(path[:, :2], 4).tolist(),
-        "side": _extent(side, 0.06),
-        "above": _extent(above, 0.06),
+        "side": beside,
+        "above": over,
     }
 
 
@@ -126,6 +153,15 @@ def _extent(points: list, margin: float) -> list[float]:
     low, high = everything.min(axis=0), everything.max(axis=0)
     room = margin * float((high - low).max())
     return np.round([low[0] - room, high[0] + room, low[1] - room, high[1] + room], 3).tolist()
+
+
+def _same_height(side: list[float], above: list[float]) -> tuple[list[float], list[float]]:
+    """The extents of both views, the lower one made as high as the other: the ground stays where it is."""
+    high = max(side[3] - side[2], above[3] - above[2])
+    middle = 0.5 * (above[2] + above[3])
+    beside = [side[0], side[1], side[2], side[2] + high]
+    over = [above[0], above[1], middle - 0.5 * high, middle + 0.5 * high]
+    return np.round(beside, 3).tolist(), np.round(over, 3).tolist()
 
 
 def _pump_charts(plan: Plan, at: np.ndarray) -> list[dict[str, Any]]:

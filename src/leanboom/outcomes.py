@@ -6,7 +6,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from leanboom import inspection
+from leanboom import inspection, limits
 from leanboom.console import PUMPS, add_row, length, new_table, say, show
 from leanboom.source import shortened
 
@@ -95,9 +95,10 @@ def _facts(result: Plan) -> list[tuple[str, str]]:
 
 
 def _use(judged: Evaluation) -> str:
-    use = judged.limit_use
+    use, found = judged.limit_use, limits.ends(judged)
+    where = f" ({limits.at_ends(found)})" if found else ""
     return (
-        f"position {100 * use.position:.1f} %, velocity {100 * use.velocity:.1f} %, "
+        f"position {100 * use.position:.1f} %{where}, velocity {100 * use.velocity:.1f} %, "
         f"acceleration {100 * use.acceleration:.1f} %"
     )
 

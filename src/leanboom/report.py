@@ -12,9 +12,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from leanboom import __version__, charts, inspection
+from leanboom import __version__, charts, inspection, limits, report_energy
 from leanboom.judge import SAMPLE, TOLERANCE
 from leanboom.planner import METHODS
 
@@ -88,6 +86,8 @@ def page(plan: Plan, grid: tuple[int, int] | None = None) -> str:
         "bars_caption": "Pump energy over the whole path. The same two motions are also measured with the other kind "
         "of pump, which they were not planned for." if plan.baseline else "Pump energy over the whole path.",
         "line_legend": _line_legend(plan),
+        "hourly": report_energy.hourly(plan),
+        "energy_parts": report_energy.parts(plan),
         "limits_table": _limits_table(plan),
         "assumed": _assumed(task.machine),
         "how": _how(plan, grid),
@@ -164,7 +164,8 @@ def _lead(plan: Plan) -> str:
     if not plan.solved:
         return (
             f"A motion was found that follows the path in {plan.task.duration:g} s and keeps every limit of the "
-            f"cylinders, but the crane cannot drive it: {_text(plan.status)}. A larger pump or a longer time would do."
+            f"cylinders, but the pump cannot deliver it: {_text(plan.status.partition(': ')[2])}. A larger pump or a "
+            "slower path would do."
         )
     goal = "" if plan.motion.cost == plan.pump else f" It was chosen for the least {_goal(plan)}, not for this energy."
     begin = (
@@ -200,8 +201,6 @@ def _alerts(plan: Plan) -> str:
 
 def _cards(plan: Plan) -> str:
     judged, duration = plan.evaluation, plan.task.duration
-    use = judged.limit_use
-    nearest = max(("position", "velocity", "acceleration"), key=lambda kind: getattr(use, kind))
     cards = [
         (_called(plan, "Energy, plan"), _kilojoule(judged, plan.pump), _average(judged, plan.pump), " first"),
     ]
@@ -213,7 +212,10 @@ def _cards(plan: Plan) -> str:
         what = "Saving" if saving >= 0.0 else "Loss"
         cards.append((what, f"{100 * abs(saving):.1f} %", f"{PUMPS[plan.pump]} pump", ""))
     kept = "all kept" if judged.feasible else f"{len(judged.violations)} broken"
-    cards.append(("Limits", kept, f"{nearest} {100 * use.worst:.0f} % used", ""))
+    cards.append(("Limits", kept, limits.nearest(judged), ""))
+    if plan.solved:
+        fuel = report_energy.per_hour(judged, plan.pump)
+        cards.append(("Diesel an hour", fuel, "if repeated without pause; assumed below", ""))
     cards.append(("Time", f"{duration:g} s", f"planned in {plan.motion.solve_s:.1f} s", ""))
     return "".join(
         f'<div class="card{extra}"><span class="what">{what}</span><span class="value">{value}</span>'
@@ -249,19 +251,48 @@ def _section_texts(plan: Plan) -> dict[str, str]:
         supply = f"the highest counted cylinder pressure plus {pump.ls_margin / 1e6:g} MPa"
     else:
         supply = f"always {pump.constant_pressure / 1e6:g} MPa"
-    compare = " Both motions move the tool in the same way; only the boom's posture differs." if plan.baseline else ""
     return {
-        "motion_text": "The crane drawn to scale, at a moment when its two postures differ much; press play to see it "
-        f"along the whole path.{compare}" if plan.baseline else "The crane drawn to scale along its path.",
+        "motion_text": _motion_text(plan),
         "pump_text": f"Power is supply pressure times flow; the supply pressure is {supply}. The pump can give "
         f"{pump.max_pressure / 1e6:g} MPa and {pump.max_flow * 6e4:.0f} l/min. The thin upright line is the moment "
         "shown above.",
         "cylinder_text": "Lengths and velocities must stay between the red dotted lines. Forces push the cylinder out "
-        "where they are positive. Counted pressures are what a load-sensing pump has to supply: zero while a cylinder "
-        f"is held (slower than {1e3 * machine.driven_velocity:g} mm/s) or moved by its load.",
+        f"where they are positive. {_friction_text(machine)}Counted pressures are what a load-sensing pump has to "
+        f"supply: zero while a cylinder is held (slower than {1e3 * machine.driven_velocity:g} mm/s) or moved by its "
+        "load.",
         "limits_text": "The largest use of each limit at any instant; 100 % is at the limit. A position is measured "
-        "from the middle of the joint's range.",
+        "from the middle of the joint's range. A cylinder that stands at an end of its stroke, as a telescope does "
+        "that starts retracted, has nothing wrong with it.",
     }  # fmt: skip
+
+
+def _motion_text(plan: Plan) -> str:
+    """What the drawing shows when it opens; that postures differ is said where they do."""
+    if plan.baseline is None:
+        return "The crane drawn to scale along its path. Press play to see it move."
+    time, apart = charts.postures_apart(plan)
+    if not charts.visible(plan, apart):
+        return (
+            "The crane drawn to scale along its path. Plan and pseudo-inverse hold the boom in nearly the same "
+            f"posture: no part of it is ever more than {100.0 * apart:.0f} cm apart, which hardly shows."
+        )
+    return (
+        f"The crane drawn to scale, {time:.1f} s after the start, when the boom's postures differ most: by "
+        f"{apart:.2f} m. Both motions move the tool in the same way. Press play to see them along the whole path."
+    )
+
+
+def _friction_text(machine: Machine) -> str:
+    """What the spikes in the charts of forces are."""
+    most = max(machine.cylinders, key=lambda cylinder: cylinder.friction.coulomb)
+    if not most.friction.coulomb > 0.0:
+        return ""
+    levels = ", ".join(f"{c.name} {c.friction.coulomb / 1e3:g} kN" for c in machine.cylinders)
+    return (
+        "Short spikes and steps in them are friction: it always points against the motion, so where a cylinder stops, "
+        f"turns or creeps, its Coulomb friction ({levels}) fades or changes sign within a few mm/s. Smaller steps come "
+        "from accelerations, which are constant on each stage of a plan. "
+    )
 
 
 def _crane_texts(plan: Plan) -> dict[str, str]:
@@ -318,26 +349,10 @@ def _line_legend(plan: Plan) -> str:
     return f'<ul class="legend">{"".join(items)}</ul>'
 
 
-def uses(evaluation: Evaluation) -> np.ndarray:
-    """Largest use of position, velocity and acceleration limit of each joint, (3, joints).
-
-    Args:
-        evaluation: The judged motion.
-    """
-    e, machine = evaluation, evaluation.task.machine
-    lower = np.array([joint.lower for joint in machine.joints])
-    upper = np.array([joint.upper for joint in machine.joints])
-    position = np.abs(e.joint_position - 0.5 * (lower + upper)) / (0.5 * (upper - lower))
-    velocity = np.abs(e.velocity) / np.array([cylinder.velocity_limit for cylinder in machine.cylinders])
-    acceleration = np.abs(e.acceleration) / np.array([cylinder.acceleration_limit for cylinder in machine.cylinders])
-    return np.stack([use.max(axis=0) for use in (position, velocity, acceleration)])
-
-
 def _limits_table(plan: Plan) -> str:
     machine = plan.task.machine
-    motions = [(uses(plan.evaluation), "")]
-    if plan.baseline is not None:
-        motions.append((uses(plan.baseline), " other"))
+    judged = [(plan.evaluation, "")] + ([(plan.baseline, " other")] if plan.baseline is not None else [])
+    motions = [(limits.uses(motion), limits.ends(motion), extra) for motion, extra in judged]
     kinds = ("Position", "Velocity", "Acceleration")
     span = len(motions)
     names = ["plan", "pseudo-inverse"][:span]
@@ -345,16 +360,24 @@ def _limits_table(plan: Plan) -> str:
     second = "".join(f'<th scope="col" class="n">{name}</th>' for _ in kinds for name in names)
     body = []
     for j, cylinder in enumerate(machine.cylinders):
-        limits = f"{cylinder.velocity_limit:g} m/s, {cylinder.acceleration_limit:g} m/s²"
+        given = f"{cylinder.velocity_limit:g} m/s, {cylinder.acceleration_limit:g} m/s²"
         cells = "".join(
-            _use_cell(float(values[kind, j]), extra) for kind in range(len(kinds)) for values, extra in motions
+            _end_cell(ends[cylinder.name], extra)
+            if kind == 0 and cylinder.name in ends
+            else _use_cell(float(values[kind, j]), extra)
+            for kind in range(len(kinds))
+            for values, ends, extra in motions
         )
-        body.append(f'<tr><th scope="row">{cylinder.name.capitalize()}</th><td>{limits}</td>{cells}</tr>')
+        body.append(f'<tr><th scope="row">{cylinder.name.capitalize()}</th><td>{given}</td>{cells}</tr>')
     return (
         '<div class="scroll"><table class="limits"><thead>'
         f'<tr><th></th><th></th>{head}</tr><tr><th scope="col">Cylinder</th><th scope="col">Limits</th>{second}</tr>'
         f"</thead><tbody>{''.join(body)}</tbody></table></div>"
     )
+
+
+def _end_cell(which: str, extra: str) -> str:
+    return f'<td class="n end{extra}">at its end: {which}</td>'
 
 
 def _use_cell(use: float, extra: str) -> str:
