@@ -108,6 +108,25 @@ BAD_MACHINES = {
             "did you mean single_acting?"
         ],
     ),
+    "the word of others": (
+        [("connection: single_acting", "connection: double_acting"), ("carrier: lift", "carrier: boom")],
+        [
+            "52: cylinders.lift.connection = double_acting; must be standard, single_acting, differential; "
+            "did you mean standard?",
+            "101: bodies.lift_boom.carrier = boom; must be base, lift, tilt; did you mean lift?",
+        ],
+    ),
+    "degrees without a unit": (
+        [("[-0.425 rad, 1.097 rad]", "[-24, 62.9]")],
+        [
+            "21: joints.lift[0] = -24; must have its unit beyond 6.3 rad, since a bare number is in rad",
+            "21: joints.lift[1] = 62.9; must have its unit beyond 6.3 rad, since a bare number is in rad",
+        ],
+    ),
+    "millimetres without a unit": (
+        [("boom: 3.504 m", "boom: 3504")],
+        ["14: geometry.boom = 3504; must have its unit beyond 100 m, since a bare number is in m"],
+    ),
     "wrong linkage": (
         [("type: triangle", "type: triangel")],
         [
@@ -244,6 +263,13 @@ BAD_MACHINES = {
     "pump below its supply": (
         [("max_pressure: 21.5 MPa", "max_pressure: 150 bar")],
         ["122: pump.constant_pressure = 20 MPa; must be at most max_pressure = 150 bar"],
+    ),
+    "bar without a unit": (
+        [("max_pressure: 21.5 MPa", "max_pressure: 215")],
+        [
+            "122: pump.constant_pressure = 20 MPa; must be at most max_pressure = 215 Pa",
+            "123: pump.ls_margin = 3 MPa; must be at most max_pressure = 215 Pa",
+        ],
     ),
     "several at once, of every kind": (
         [
@@ -393,7 +419,21 @@ BAD_TEXTS = {
     "tab": (
         "name: x\n\tboom: 1\n",
         "bad.yaml:2:1: is not valid YAML: found character '\\t' that cannot start any token; "
-        "while scanning for the next token",
+        "while scanning for the next token; indent with spaces, not tabs",
+    ),
+    "no space after a key": (
+        "name: x\ngeometry:\n  base_x: 0 m\n  boom:1.60 m\n  base_z: 0 m\n",
+        "bad.yaml:4:3: is not valid YAML: could not find expected ':'; while scanning a simple key; "
+        "a colon and a space follow a key",
+    ),
+    "a colon in a text": (
+        "description: Crane: PK 50\n",
+        "bad.yaml:1:19: is not valid YAML: mapping values are not allowed here; a text with a colon stands in quotes",
+    ),
+    "a line too far out": (
+        "geometry:\n  base_x: 0 m\n boom: 1.60 m\n",
+        "bad.yaml:3:2: is not valid YAML: expected <block end>, but found '<block mapping start>'; while parsing a "
+        "block mapping; the lines of a section are indented alike",
     ),
     "alias bomb": (
         "a: &a [x, x]\n" + "".join(f"{b}: &{b} [*{a}, *{a}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)),

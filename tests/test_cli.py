@@ -416,7 +416,9 @@ def test_check_says_when_a_path_cannot_be_reached(tmp_path):
     file = tmp_path / "far.yaml"
     text = files.dump_task(files.load_task("forwarder-horizontal"), "forwarder")
     file.write_text(text.replace("[7.2, 0, 2]", "[12, 0, 2]"), encoding="utf-8")
-    assert leanboom("check", str(file)).exit_code == 1
+    result = leanboom("check", str(file))
+    assert result.exit_code == 1
+    assert result.stderr.startswith(f"leanboom: {file}: no extension reaches the path")
 
 
 def test_check_tells_of_a_machine_once_however_many_tasks_it_has():

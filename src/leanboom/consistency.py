@@ -29,6 +29,7 @@ from leanboom.schema import (
     TelescopeKeys,
 )
 from leanboom.source import Data, Key, Source
+from leanboom.units import is_bare
 
 S = TypeVar("S", bound=Section)
 
@@ -109,7 +110,8 @@ def check_machine(source: Source) -> None:
     if pump is not None:
         for name in ("constant_pressure", "ls_margin"):
             if getattr(pump, name) > pump.max_pressure:
-                limit = source.value(("pump", "max_pressure"))
+                limit = str(source.value(("pump", "max_pressure")))
+                limit += " Pa" if is_bare(limit) else ""
                 source.refuse(("pump", name), f"must be at most max_pressure = {limit}")
         found = efficiency(pump)
         if isinstance(found, EfficiencyMap):

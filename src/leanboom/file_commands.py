@@ -50,7 +50,7 @@ def check(
         if found[-1].error is None:
             told.append(found[-1].machine)
         else:
-            complain(found[-1].error)
+            complain(found[-1].complaint)
     if as_json:
         print_json([each.json() for each in found])
     code = max((each.error.exit_code for each in found if each.error is not None), default=0)

@@ -222,6 +222,11 @@ class Checked:
         """The machine itself, or that of the task."""
         return self.found if isinstance(self.found, Machine | None) else self.found.machine
 
+    @property
+    def complaint(self) -> str:
+        """What is wrong, with the name of the file."""
+        return str(self.error) if getattr(self.error, "problems", ()) else f"{self.file}: {self.error}"
+
     def json(self) -> dict[str, Any]:
         """The same as `check --json` prints it."""
         problems = [asdict(problem) for problem in getattr(self.error, "problems", ())]

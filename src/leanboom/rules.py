@@ -13,7 +13,7 @@ from unicodedata import combining, normalize
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-from leanboom.units import KINDS, Kind, expected, parse, slip, write
+from leanboom.units import KINDS, Kind, expected, is_bare, parse, slip, write
 
 STARTS = ("smallest", "middle", "best")
 
@@ -60,8 +60,17 @@ class Rule:
 class Quantity(Rule):
     """A quantity within bounds in SI units."""
 
-    def __init__(self, kind: str, *, above: float | None = None, least: float | None = None, most: float | None = None):
+    def __init__(
+        self,
+        kind: str,
+        *,
+        above: float | None = None,
+        least: float | None = None,
+        most: float | None = None,
+        any_bare: bool = False,  # bare numbers of any size
+    ):
         self.kind = what = KINDS[kind]
+        self.any_bare = any_bare
         self.above, self.least, self.most = above, least, most
         if least is not None and most is not None:
             bounds = f"from {write(least, what) if least else 0} to {write(most, what)}"
@@ -80,6 +89,9 @@ class Quantity(Rule):
         number = parse(text, self.kind) if isinstance(text, str) else None
         if number is None:
             raise refusal(expected(text if isinstance(text, str) else "", self.kind))
+        if isinstance(value, str) and abs(number) > self.kind.bare and is_bare(value) and not self.any_bare:
+            limit, unit = write(self.kind.bare, self.kind), self.kind.unit
+            raise refusal(f"must have its unit beyond {limit}, since a bare number is in {unit}")
         low = (self.above is not None and number <= self.above) or (self.least is not None and number < self.least)
         if low or (self.most is not None and number > self.most):
             raise refusal(self.outside)
@@ -135,14 +147,17 @@ class Listing(Rule):
 class Word(Rule):
     """A text out of a few."""
 
-    def __init__(self, *choices: str):
+    def __init__(self, *choices: str, **others: str):
         self.choices = choices
+        self.others = others  # words of other people, and what they call so here
         self.allowed = f"must be {', '.join(choices)}"
 
     def check(self, value: Any) -> str:
         """The word."""
         if value not in self.choices:
-            raise refusal(f"must be {suggestion(str(value), self.choices)}")
+            meant = self.others.get(str(value))
+            choices = f"{', '.join(self.choices)}; did you mean {meant}?" if meant else ""
+            raise refusal(f"must be {choices or suggestion(str(value), self.choices)}")
         return value
 
     def described(self, schema: dict[str, Any]) -> dict[str, Any]:

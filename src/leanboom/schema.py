@@ -44,6 +44,7 @@ from leanboom.rules import (
 EFFICIENCY_MAP = "(map)"  # pydantic's word for that kind of efficiency; no key of a file
 
 Length = Annotated[float, Quantity("length")]
+Coordinate = Annotated[float, Quantity("length", any_bare=True)]
 PositiveLength = Annotated[float, Quantity("length", above=0)]
 LeastLength = Annotated[float, Quantity("length", least=0)]
 Angle = Annotated[float, Quantity("angle")]
@@ -101,7 +102,9 @@ Pressures = Annotated[
 Efficiencies = Annotated[tuple[Efficiency, ...], Listing("efficiencies, one for each of pressures", "number", 2)]
 Table = Annotated[tuple[Efficiencies, ...], Listing("rows, one for each of displacements", "number", 2)]
 Tables = Annotated[tuple[Table, ...], Listing("tables, one for each of speeds", "number", 1)]
-Point = Annotated[tuple[Length, Length, Length], Listing("three lengths x, y, z", "length", 3, 3, bare=True)]
+Point = Annotated[
+    tuple[Coordinate, Coordinate, Coordinate], Listing("three lengths x, y, z", "length", 3, 3, bare=True)
+]
 Points = Annotated[tuple[Point, ...], Listing("at least two points [x, y, z]", "length", 2, bare=True)]
 Durations = Annotated[tuple[Duration, ...], Listing("at least one time", "time", 1)]
 Times = Annotated[tuple[Time, ...], Listing("at least two times", "time", 2), AfterValidator(rising_from_zero)]
@@ -278,7 +281,9 @@ class CylinderKeys(Section):
         Variant("rack_and_pinion", "triangle", "four_bar", "polynomial", "telescope"),
     ]
     """How the cylinder moves its joint."""
-    connection: Annotated[str, Word("standard", "single_acting", "differential")]
+    connection: Annotated[
+        str, Word("standard", "single_acting", "differential", double_acting="standard", regenerative="differential")
+    ]
     """How its chambers meet the valve, which decides the pump flow."""
     friction: FrictionKeys
     velocity_limit: Velocity
@@ -300,7 +305,7 @@ class CylinderSet(Section):
 class BodyKeys(Section):
     """A rigid body."""
 
-    carrier: Annotated[str, Word("base", "lift", "tilt")]
+    carrier: Annotated[str, Word("base", "lift", "tilt", column="base", boom="lift", outer="tilt", extension="tilt")]
     """The joint that moves it; tilt also carries what telescopes."""
     mass: Mass
     along: Length

@@ -19,6 +19,13 @@ STATUSES = ("printed", "derived", "assumed", "identified")
 
 _STATUS = re.compile(rf"[\s,\]}}]*\s#+\s*({'|'.join(STATUSES)})\b\s*[:,]?\s*(.*?)\s*")
 
+_REMEDIES = {  # of what the parser says
+    "character '\\t'": "indent with spaces, not tabs",
+    "mapping values are not allowed": "a text with a colon stands in quotes",
+    "could not find expected ':'": "a colon and a space follow a key",
+    "expected <block end>": "the lines of a section are indented alike",
+}
+
 Key = tuple[str | int, ...]
 Data = dict[str, "Data"] | list["Data"] | str | bool | None
 
@@ -174,8 +181,11 @@ def parse(text: str, name: str) -> Source:
         raise unusable(name, f"character #x{code:04x} is not allowed in YAML", line) from None
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
+        if "find expected ':'" in str(error.problem):
+            mark = error.context_mark or mark  # where the key begins
         where = (mark.line + 1, mark.column + 1) if mark else ()
-        reason = "; ".join(str(part) for part in (error.problem, error.context) if part)
+        remedy = next((remedy for sign, remedy in _REMEDIES.items() if sign in str(error.problem)), None)
+        reason = "; ".join(str(part) for part in (error.problem, error.context, remedy) if part)
         raise unusable(name, f"is not valid YAML: {shortened(reason, 200)}", *where) from None
     except (YAMLError, OverflowError, ValueError) as error:  # the last two: escapes of characters that do not exist
         raise unusable(name, f"is not valid YAML: {shortened(str(error), 200)}") from None

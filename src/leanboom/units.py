@@ -10,24 +10,25 @@ import re
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
-from math import isfinite, pi
+from math import inf, isfinite, pi
 
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What a quantity measures, the SI unit it becomes, an example and the usual units for messages."""
+    """What a quantity measures and the SI unit it becomes; for messages an example and the usual units."""
 
     name: str
     unit: str
     example: str
     units: tuple[str, ...]
+    bare: float = inf  # largest number without a unit: beyond, another unit is meant
 
 
 KINDS = {
     kind.name: kind
     for kind in (
-        Kind("length", "m", "610 mm", ("mm", "cm", "m")),
-        Kind("angle", "rad", "-0.425 rad", ("deg", "rad", "rev")),
+        Kind("length", "m", "610 mm", ("mm", "cm", "m"), bare=100.0),
+        Kind("angle", "rad", "-0.425 rad", ("deg", "rad", "rev"), bare=6.3),
         Kind("area", "m^2", "103.87 cm^2", ("mm^2", "cm^2", "m^2")),
         Kind("volume", "m^3", "1.5 l", ("cm^3", "l", "m^3")),
         Kind("mass", "kg", "370 kg", ("g", "kg", "t")),
@@ -135,6 +136,11 @@ def parse(text: str, kind: Kind) -> float | None:
         return None
     value = Fraction(match[1]) * factor
     return float(value) if abs(value) <= _LARGEST else None
+
+
+def is_bare(text: str) -> bool:
+    """Whether a text is a number without a unit."""
+    return re.fullmatch(_NUMBER, text.strip()) is not None
 
 
 def write(value: float, kind: Kind) -> str:
