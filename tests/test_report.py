@@ -158,6 +158,7 @@ def test_a_plan_too_much_for_the_pump_has_no_green_badge(task):
     text = report.page(plan)
     assert 'class="badge bad">Limits kept, but the pump cannot deliver it<' in text
     assert 'class="badge good"' not in text and "All limits kept" not in text and ">Saving<" not in text
+    assert 'class="card void"' in text and 'class="bar void"' in text and 'class="card first"' not in text
     assert "plan (not solved)" in text and plan.status.partition(": ")[2] in text
 
 

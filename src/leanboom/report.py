@@ -202,7 +202,12 @@ def _alerts(plan: Plan) -> str:
 def _cards(plan: Plan) -> str:
     judged, duration = plan.evaluation, plan.task.duration
     cards = [
-        (_called(plan, "Energy, plan"), _kilojoule(judged, plan.pump), _average(judged, plan.pump), " first"),
+        (
+            _called(plan, "Energy, plan"),
+            _kilojoule(judged, plan.pump),
+            _average(judged, plan.pump),
+            " first" if plan.solved else " void",
+        ),
     ]
     if plan.baseline is not None:
         theirs = _kilojoule(plan.baseline, plan.pump), _average(plan.baseline, plan.pump)
@@ -226,7 +231,7 @@ def _cards(plan: Plan) -> str:
 
 def _bars(plan: Plan) -> str:
     judged, other = plan.evaluation, plan.baseline
-    motions = [(_called(plan, "plan"), judged, "")] + (
+    motions = [(_called(plan, "plan"), judged, "" if plan.solved else " void")] + (
         [("pseudo-inverse", other, " other")] if other is not None else []
     )
     order = [plan.pump, *(pump for pump in PUMPS if pump != plan.pump)]
@@ -274,7 +279,7 @@ def _motion_text(plan: Plan) -> str:
     if not charts.visible(plan, apart):
         return (
             "The crane drawn to scale along its path. Plan and pseudo-inverse hold the boom in nearly the same "
-            f"posture: no part of it is ever more than {100.0 * apart:.0f} cm apart, which hardly shows."
+            f"posture: it differs by {100.0 * apart:.1f} cm at most, which hardly shows."
         )
     return (
         f"The crane drawn to scale, {time:.1f} s after the start, when the boom's postures differ most: by "
@@ -342,7 +347,7 @@ def _line_legend(plan: Plan) -> str:
             f'stroke-width="{width}" stroke-dasharray="{dash}"/></svg>{text}</li>'
         )
 
-    items = [item("#17202b", 2.5, "", "plan (coloured by cylinder)")]
+    items = [item("#17202b", 2.5, "", _called(plan, "plan (coloured by cylinder)"))]
     if plan.baseline is not None:
         items.append(item("#7b8490", 2, "5 3", "pseudo-inverse"))
     items.append(item("#b3261e", 1.6, "2 3", "limit"))
