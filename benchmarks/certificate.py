@@ -22,6 +22,7 @@ def table(tasks: list[str], starts: list[str], pumps: list[str], seconds: float,
             for start in starts:
                 proof = lb.certify(replace(lb.load_task(name), start=start), pump, seconds=seconds, gap=gap)
                 course = ", ".join(f"{level.gap_percent:.2f} % {level.seconds:.0f} s" for level in proof.levels)
+                course += f"; {proof.processor_s:.0f} s of processor time"
                 print(
                     f"{name:<24}{pump:<6}{start:<10}{proof.energy_j / 1e3:>9.3f} kJ{proof.lower_bound_j / 1e3:>9.3f} kJ"
                     f"{proof.gap_percent:>6.2f} %  {course} ({proof.reason})",

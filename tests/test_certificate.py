@@ -14,6 +14,7 @@ from leanboom import (
     InfeasibleError,
     InputError,
     LeanboomError,
+    budget,
     cells,
     certificate,
     certify,
@@ -45,6 +46,29 @@ def solved():
     problem = stages.discretise(task, 0.25)
     found = cells.bound(cells.whole(problem, "ls"), None, quiet)
     return problem, found
+
+
+@pytest.mark.parametrize("pump", ["cp", "ls"])
+@pytest.mark.parametrize("times", cells.COARSE)
+@pytest.mark.parametrize("seed", range(3))
+def test_bounds_over_coarse_cells_never_exceed_the_brute_force_optimum(seed, times, pump):
+    task = small_task(seed)
+    problem = stages.discretise(task, task.duration / 4.0)
+    start = 0.5 * (problem.lower[0] + problem.upper[0])
+    least, best = slow_bounds.least_energy(problem, pump, start, 15)
+    assert best is not None
+    kept = cells.whole(problem, pump, best, times)
+    assert kept.count == cells.size(problem, pump, best, times).count
+    for low, high, rows in zip(problem.lower, problem.upper, kept.rows, strict=True):
+        assert (rows[0], rows[-1]) == pytest.approx((low, high))
+        assert np.all(np.diff(rows) > 0.0)
+    found = cells.bound(kept, start, quiet, coarse=True)
+    assert 0.0 <= found.lower <= least * (1.0 + 1e-9)
+    costs = incumbent.measure(problem, best, pump).costs
+    assert cells.residuals(found, best, costs).min() >= -1e-9 * least
+    refined = cells.refine(found, cells.reach(found, least * (1.0 + 1e-9), quiet))
+    assert refined is not None
+    assert cells.bound(refined, start, quiet).lower <= least * (1.0 + 1e-9)
 
 
 @pytest.mark.parametrize("pump", ["cp", "ls"])
@@ -128,8 +152,8 @@ def test_a_broken_cell_bound_is_caught(solved, rng):
 def test_a_bound_that_contradicts_the_motion_is_not_certified(monkeypatch):
     honest = cells.bound
 
-    def broken(*arguments):
-        found = honest(*arguments)
+    def broken(*arguments, **named):
+        found = honest(*arguments, **named)
         planes = [planes.copy() for planes in found.planes]
         planes[2][..., 0] += 1e5
         return replace(found, planes=tuple(planes))
@@ -142,7 +166,9 @@ def test_a_bound_that_contradicts_the_motion_is_not_certified(monkeypatch):
 
 def test_a_bound_above_the_motion_is_not_certified(monkeypatch):
     honest = cells.bound
-    monkeypatch.setattr(cells, "bound", lambda *given: replace(honest(*given), start=np.full((1, 1), 1e9)))
+    monkeypatch.setattr(
+        cells, "bound", lambda *given, **named: replace(honest(*given, **named), start=np.full((1, 1), 1e9))
+    )
     with pytest.raises(LeanboomError, match="above the energy of the motion"):
         certify(replace(load_task("forwarder-vertical"), start="middle"), "cp", step=0.5)
 
@@ -151,7 +177,7 @@ def test_the_way_that_promises_most_comes_first_and_others_while_they_promise_mo
     gaps = {"own": iter([10.0, 1.0]), "guided": iter([6.0, 4.0, 3.0])}
     tried = []
 
-    def bound(kept, start, clock, slopes, limit):
+    def bound(kept, start, clock, slopes, limit, coarse):
         tried.append(slopes)
         return SimpleNamespace(lower=100.0 - next(gaps[slopes]))
 
@@ -174,7 +200,7 @@ def test_other_slopes_wait_while_cells_are_far_too_large(monkeypatch):
 
 
 def test_a_bound_found_in_time_counts_although_a_second_way_is_not(monkeypatch):
-    def bound(kept, start, clock, slopes, limit):
+    def bound(kept, start, clock, slopes, limit, coarse):
         if slopes == "guided":
             raise cells.OutOfTime
         return SimpleNamespace(lower=90.0)
@@ -186,10 +212,10 @@ def test_a_bound_found_in_time_counts_although_a_second_way_is_not(monkeypatch):
 
 def test_bound_rises_with_refinement():
     task = replace(load_task("forwarder-vertical"), start="middle")
-    proof = certify(task, "cp", step=0.25, seconds=20.0, gap=0.3)
+    proof = certify(task, "cp", step=0.25, seconds=120.0, gap=0.3)
     lower = [level.lower_bound_j for level in proof.levels]
-    assert len(lower) > 1
-    for first, (before, after) in zip((True, False, False, False), pairwise(proof.levels), strict=False):
+    assert len(lower) > 2
+    for first, (before, after) in zip((True, False, False, False), pairwise(proof.levels[1:]), strict=False):
         rows_too = not first or before.gap_percent > certificate.HOPELESS
         assert (after.positions, after.velocities) == ((2 if rows_too else 1) * before.positions, 2 * before.velocities)
     assert lower == sorted(lower)
@@ -198,10 +224,90 @@ def test_bound_rises_with_refinement():
     assert "gap" in repr(proof)
 
 
-def test_no_time_leaves_the_trivial_bound():
-    task = replace(load_task("forwarder-vertical"), start="middle")
-    proof = certify(task, "cp", step=0.5, seconds=1e-6)
-    assert (proof.lower_bound_j, proof.gap_percent, proof.reason) == (0.0, 100.0, "time is over")
+@pytest.mark.parametrize("pump", ["cp", "ls"])
+@pytest.mark.parametrize(("seconds", "start"), [(1e-6, "smallest"), (0.05, "best")])
+def test_a_bound_is_proven_however_short_the_time(pump, seconds, start):
+    """A busy machine once used up the default minute before the first level ended: the table was empty, the bound 0."""
+    proof = certify(replace(load_task("forwarder-vertical"), start=start), pump, step=0.1, seconds=seconds)
+    assert proof.reason == certificate.TIME_IS_OVER
+    assert proof.levels[0].positions <= proof.levels[-1].positions
+    assert 0.0 < proof.lower_bound_j == proof.levels[-1].lower_bound_j <= proof.energy_j
+    assert certificate.EMPTY * proof.energy_j <= proof.lower_bound_j
+    assert proof.more_time is not None
+    assert proof.more_time.seconds > seconds
+    assert proof.json()["certify_levels"][-1]["lower_bound_j"] == proof.lower_bound_j
+
+
+def test_coarse_cells_are_checked_against_the_motion_too(monkeypatch):
+    honest = cells.bound
+
+    def broken(*arguments, **named):
+        found = honest(*arguments, **named)
+        return replace(found, planes=(*found.planes[:2], found.planes[2] + 1e5, *found.planes[3:]))
+
+    monkeypatch.setattr(cells, "bound", broken)
+    with pytest.raises(LeanboomError, match="contradicts the motion"):
+        certify(replace(load_task("forwarder-vertical"), start="middle"), "cp", step=0.5, seconds=1e-6)
+
+
+def test_what_others_take_of_the_processors_is_not_spent(monkeypatch):
+    """By the clock twice the seconds, of which this process had a third of each of two processors."""
+    given = {"seconds": 60.0, "shared": 2, "began": 10.0, "began_processor": 1.0}
+    monkeypatch.setattr(budget.time, "perf_counter", lambda: 70.0)
+    monkeypatch.setattr(budget.time, "process_time", lambda: 81.0)
+    busy = budget.Budget(**given)
+    assert (busy.gone, busy.processor, busy.spent, busy.over) == (60.0, 80.0, 40.0, False)
+    monkeypatch.setattr(budget.time, "process_time", lambda: 122.0)
+    assert budget.Budget(**given).over
+    monkeypatch.setattr(budget.time, "process_time", lambda: 41.0)
+    monkeypatch.setattr(budget.time, "perf_counter", lambda: 131.0)
+    assert budget.Budget(**given).over  # nobody waits longer than twice
+
+
+def proof_after(*levels: tuple[int, int, float]) -> certificate._Proof:  # noqa: SLF001
+    """Proof of 100 J with levels of so many rows, columns and so large gaps, 10 s spent on each."""
+    spent = budget.Budget(1.0, 1, 0.0, 0.0)
+    proof = certificate._Proof(None, "cp", None, SimpleNamespace(energy=100.0), 0.5, spent, quiet)  # noqa: SLF001
+    for rows, columns, gap in levels:
+        proof.levels.append(certificate.Level(rows, columns, rows * columns, 100.0 - gap, gap, 0.0, 0.0))
+    proof.lower, proof.rate, proof.begun, proof.under_way = 1.0, 0.1, 10.0, (400, 400)
+    return proof
+
+
+@pytest.mark.parametrize(
+    ("levels", "gap"),
+    [
+        (((10, 10, 40.0), (10, 20, 20.0)), 10.0),  # the gap fell like the cells' size, and will
+        (((10, 10, 40.0), (10, 20, 1.0)), 0.5),  # no more than is asked for
+        (((10, 20, 40.0),), None),
+        (((10, 10, 100.0), (10, 20, 40.0)), None),  # from a bound of nothing on nothing can be told
+        (((10, 10, 40.0), (10, 20, 40.0)), None),
+    ],
+)
+def test_more_time_is_extrapolated_from_the_levels_so_far(monkeypatch, levels, gap):
+    monkeypatch.setattr(budget.time, "perf_counter", lambda: 24.0)
+    monkeypatch.setattr(budget.time, "process_time", lambda: 12.0)
+    found = proof_after(*levels).outlook()
+    assert found.seconds == 50.0  # what was under way began after 10 s and has 400 cells of 0.1 s
+    assert found.gap_percent == (None if gap is None else pytest.approx(gap))
+
+
+def test_the_command_tells_what_more_time_would_bring():
+    command = ["certify", "forwarder-vertical", "--start", "middle", "--pump", "cp", "--step", "0.25"]
+    done = CliRunner().invoke(app, [*command, "--seconds", "0.01 s"])
+    assert done.exit_code == 0, done.output
+    assert "time is over" in done.stdout
+    assert "More time" in done.stdout
+    assert "extrapolated, not proven" in done.stdout
+
+
+def test_cells_that_would_not_fit_into_the_memory_are_not_begun(monkeypatch):
+    monkeypatch.setattr(certificate, "_memory", lambda: 1e5)
+    proof = certify(replace(load_task("forwarder-vertical"), start="middle"), "cp", step=0.25, seconds=60.0)
+    assert proof.reason == "smaller cells would not fit into the memory"
+    assert len(proof.levels) == 1
+    assert proof.lower_bound_j > 0.0
+    assert proof.more_time is None
 
 
 @pytest.mark.parametrize(

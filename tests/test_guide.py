@@ -183,11 +183,11 @@ def test_a_tube_gives_the_slopes_inside_it_and_only_there(loader):
 def test_a_guide_is_asked_where_the_first_bound_does_not_do(monkeypatch, gap, guided):
     plain, asked = cells.bound, []
 
-    def watched(kept, begin, clock, given, limit):
+    def watched(kept, begin, clock, given=None, limit=np.inf, coarse=False):
         asked.append(given)
-        return plain(kept, begin, clock, given, limit)
+        return plain(kept, begin, clock, given, limit, coarse)
 
     monkeypatch.setattr(cells, "bound", watched)
-    proof = certify(load_task("forwarder-vertical", start="middle"), "cp", step=0.1, gap=gap, seconds=40.0)
+    proof = certify(load_task("forwarder-vertical", start="middle"), "cp", step=0.1, gap=gap, seconds=20.0)
     assert any(given is not None for given in asked) == guided
     assert 0.0 < proof.lower_bound_j <= proof.energy_j

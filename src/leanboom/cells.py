@@ -21,6 +21,7 @@ from leanboom.stages import Problem
 from leanboom.viability import Viable
 
 VELOCITY = 0.01  # [m/s], largest height of a cell of the first level
+COARSE = ((16, 8), (8, 4), (4, 2))  # how many times wider and higher cells are where time is short
 SHARES = 8  # parts a thread takes of a stage: rows differ in work
 AT_REST = 1e-6  # [m/s], velocity below which a motion ends at rest
 ON_EDGE = 1e-10  # [m/s], by which a velocity may be off a cell to be counted in it
@@ -86,28 +87,52 @@ class OutOfTime(Exception):
     """The time given to a bound is over."""
 
 
-def whole(problem: Problem, cost: str, beside: Motion | None = None) -> Cells:
-    """The first level: all feasible extensions and all velocities of every stage.
+@dataclass(frozen=True, slots=True, eq=False)
+class Size:
+    """How finely whole stages are cut."""
+
+    positions: int  # rows between the ends of a stage's feasible extensions, narrower ones apart
+    velocities: np.ndarray  # cells between the limits of the redundant cylinder's velocity, (stages,)
+    rows: list[np.ndarray]  # edges of the rows [m], (rows + 1,) a stage and the end
+    bins: int  # bins of position that viable velocities are looked for in: edges of rows are edges of bins
+
+    @property
+    def count(self) -> int:
+        """Number of cells of all stages."""
+        return sum((edges.size - 1) * int(each) for edges, each in zip(self.rows[:-1], self.velocities, strict=True))
+
+
+def size(problem: Problem, cost: str, beside: Motion | None = None, times: tuple[int, int] = (1, 1)) -> Size:
+    """How all feasible extensions and all velocities of every stage are cut on the first level, or more coarsely.
 
     Args:
         problem: The discretised task.
         cost: "ls" or "cp".
         beside: A motion near which rows are narrower.
+        times: How many times wider and higher cells are than those of the first level.
     """
+    wider, higher = times
+    coarse = wider > 1
     limit = problem.crane.machine.redundant.velocity_limit
-    positions = max(2, int(np.ceil(np.max(problem.upper - problem.lower) / intervals.POSITION)))
+    positions = max(2, int(np.ceil(np.max(problem.upper - problem.lower) / (wider * intervals.POSITION))))
     narrower, lower = intervals.FINER[cost]
-    rows = [intervals.whole(problem, k, positions, beside, narrower) for k in range(problem.stages + 1)]
-    corner = np.zeros(problem.stages, dtype=int)
-    velocities = np.full(problem.stages, 2 * int(np.ceil(limit / VELOCITY)))
+    rows = [intervals.whole(problem, k, positions, beside, narrower, coarse) for k in range(problem.stages + 1)]
+    velocities = np.full(problem.stages, 2 * int(np.ceil(limit / (higher * VELOCITY))))
     if beside is not None:
         velocities[intervals.from_end(problem, slice(-1), beside.position[:-1]) < intervals.END] *= lower
-    return _cut(problem, cost, positions, velocities, rows, velocities, corner, None)
+    return Size(positions, velocities, rows, (intervals.OUTERMOST if coarse else viability.BINS) * positions)
+
+
+def whole(problem: Problem, cost: str, beside: Motion | None = None, times: tuple[int, int] = (1, 1)) -> Cells:
+    """All feasible extensions and all velocities of every stage, cut as `size` says; arguments as there."""
+    cut = size(problem, cost, beside, times)
+    corner = np.zeros(problem.stages, dtype=int)
+    return _cut(problem, cost, cut.positions, cut.velocities, cut.rows, cut.velocities, corner, cut.bins)
 
 
 def _cut(  # noqa: PLR0913
     problem: Problem, cost: str, positions: int, velocities: np.ndarray, rows: list[np.ndarray], counts: np.ndarray,
-    corner: np.ndarray, viable: Viable | None,
+    corner: np.ndarray, viable: Viable | int,
 ) -> Cells:  # fmt: skip
     """Cells of a resolution, all active.
 
@@ -118,7 +143,7 @@ def _cut(  # noqa: PLR0913
         rows: Edges of the rows of every stage's window and of the end [m].
         counts: Columns of the windows, (stages,).
         corner: First column of the windows, (stages,).
-        viable: Viable velocities; looked for, where none are given, on windows that are whole stages.
+        viable: Viable velocities; or the number of bins to look for them in, on windows that are whole stages.
     """
     limit = problem.crane.machine.redundant.velocity_limit
     n = problem.stages
@@ -137,7 +162,8 @@ def _cut(  # noqa: PLR0913
         cellwise.place_edges(stage, setting, lattice[k], edges[k])
     edges.append(np.zeros((rows[n].size - 1, 2)))
     columns[n] = np.zeros((rows[n].size - 1, 2))  # the end: at rest
-    viable = viable or viability.find(viability.BINS * positions, tuple(rows), model, columns, cylinder, problem.step)
+    if isinstance(viable, int):
+        viable = viability.find(viable, tuple(rows), model, columns, cylinder, problem.step)
     cells = Cells(
         problem, cost, positions, velocities, lattice,
         tuple(np.zeros((stage.shape[0], count)) for stage, count in zip(model, counts, strict=True)), model,
@@ -158,7 +184,7 @@ def _fixed(problem: Problem, cost: str) -> np.ndarray:
 
 def bound(
     cells: Cells, start: float | None, check: Callable[[float], None], guide: GivenSlopes | None = None,
-    limit: float = np.inf,
+    limit: float = np.inf, coarse: bool = False,
 ) -> Bounds:  # fmt: skip
     """The backward pass: planes below the cost to go over all cells.
 
@@ -168,6 +194,7 @@ def bound(
         check: Called with the share done before every stage; raises to end the pass.
         guide: Gives the slopes of the planes of a stage's cells; None: differences of the bounds themselves.
         limit: Energy beyond which motions are of no interest, and not bounded [J].
+        coarse: Without a guide, every plane gets a floor. It pays where cells are large.
 
     Returns:
         The bounds.
@@ -180,7 +207,12 @@ def bound(
             check(1.0 - (k + 1) / n)
             here, given = given, pool.later(guide, k - 1)
             ahead = planes[k + 1]
-            planes[k] = _planes(pool, k, ahead) if here is None else _guided(pool, k, ahead, here.result())
+            if here is not None:
+                planes[k] = _guided(pool, k, ahead, here.result())
+            elif coarse:
+                planes[k] = _guided(pool, k, ahead, _differences(pool, k, ahead)[1])
+            else:
+                planes[k] = _planes(pool, k, ahead)
             least = np.maximum(planes[k][..., 0] - _rise(cells, k, planes[k]), planes[k][..., 3])
             planes[k][cells.active[k] + least > limit, 0] = np.inf
     return Bounds(cells, tuple(planes), _at_start(cells, planes[0], start))
@@ -192,14 +224,19 @@ def _rise(cells: Cells, k: int, planes: np.ndarray) -> np.ndarray:
     return 0.5 * (np.abs(planes[..., 1]) * high + np.abs(planes[..., 2]) * wide)
 
 
+def _differences(pool: _Pool, k: int, ahead: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds at the middles of a stage's cells [J], (rows, columns), and slopes by them, (rows, columns, 2)."""
+    cells, active = pool.cells, pool.cells.active[k]
+    middle = pool.run(bounds.MIDDLE, k, active, np.zeros((*active.shape, 4)), ahead)
+    along = slopes(middle, 0, intervals.middles(cells.rows[k])[:, None]), slopes(middle, 1, cells.middles(k))
+    return middle, np.stack(along, axis=-1)
+
+
 def _planes(pool: _Pool, k: int, ahead: np.ndarray) -> np.ndarray:
     """Planes of a stage whose slopes are differences of the bounds at the cells' middles, level beside cliffs."""
     cells, active = pool.cells, pool.cells.active[k]
     here = np.zeros((*active.shape, 4))
-    middle = pool.run(bounds.MIDDLE, k, active, here, ahead)
-    rows = cells.rows[k]
-    here[..., 1] = slopes(middle, 0, intervals.middles(rows)[:, None])
-    here[..., 2] = slopes(middle, 1, cells.middles(k))
+    middle, here[..., 1:3] = _differences(pool, k, ahead)
     level = pool.run(bounds.PLANE, k, active, here, ahead)
     with np.errstate(invalid="ignore"):
         bent = np.isfinite(level) & ~(middle - level <= BENT * _rise(cells, k, here))
@@ -336,8 +373,18 @@ def memory(cells: Cells, excess: tuple[np.ndarray, ...]) -> float:
     """Bytes that bounding the refined cells takes."""
     rows = sum(2 * int(np.isfinite(e).any(axis=1).sum()) for e in excess)
     size = sum(4 * e.size for e in excess)
-    moving = cells.cylinder.shape[0]
-    return 8.0 * (size * 6 + rows * moving * kernels.COEFFICIENTS * 4 * 2)
+    return _bytes(size, rows, cells.cylinder.shape[0])
+
+
+def memory_of(problem: Problem, cut: Size) -> float:
+    """Bytes that bounding whole stages takes."""
+    rows = sum(edges.size - 1 for edges in cut.rows[:-1])
+    return _bytes(cut.count, rows, len(range(len(problem.crane.machine.cylinders))[problem.moving]))
+
+
+def _bytes(count: int, rows: int, moving: int) -> float:
+    """Bytes that so many cells in so many rows take, and the enclosures of their coefficients."""
+    return 8.0 * (count * 6 + rows * moving * kernels.COEFFICIENTS * 4 * 2)
 
 
 def value_at(found: Bounds, k: int, position: float, velocity: float) -> float:

@@ -12,14 +12,15 @@ bound holds for motions on the threshold too.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import asdict, dataclass, field
+from functools import cache, partial
+from typing import Any
 
 import numpy as np
 
 from leanboom import cells, compiling, dp, guide, incumbent, planner, stages
+from leanboom.budget import Budget
 from leanboom.errors import InfeasibleError, InputError, LeanboomError
 from leanboom.incumbent import Measured
 from leanboom.motion import Motion
@@ -32,6 +33,12 @@ ENOUGH = 0.99  # share of the gap asked for by which energies are below the best
 PROMISE = 0.5  # share of a level's gap that may be left with the same slopes on the next
 HOPELESS = 15.0  # gap [%] at which cells are so large that nothing but smaller ones is worth its time
 SLACK = 2e-3  # share of the energy that a motion may save by using limits to the judge's tolerance
+FINEST = (1, 1)  # how coarse the first level is where there is time
+GROWING = 0.7  # share of the coarsest level's time that grows with the number of cells, at most
+LONGER = 0.25  # by which share more time than was spent is worth asking for, at least
+EMPTY = 1e-3  # share of the energy below which a bound says nothing
+FLAT = 0.05  # order in the number of cells below which gaps do not fall enough to say what smaller cells bring
+TIME_IS_OVER = "time is over"
 TRUST = 1e-6  # share of the energy by which a check along a motion may be off, rounding of many sums
 
 
@@ -44,7 +51,16 @@ class Level:
     cells: int  # cells looked at, all stages together
     lower_bound_j: float  # the best bound so far [J]
     gap_percent: float
-    seconds: float  # since the beginning
+    seconds: float  # since the beginning, by the clock
+    processor_s: float  # processor time since the beginning, all threads together [s]
+
+
+@dataclass(frozen=True, slots=True)
+class Outlook:
+    """What more time would bring: an extrapolation from the levels so far, nothing proven."""
+
+    seconds: float  # to ask for, so that one more level can be expected to end [s]
+    gap_percent: float | None  # gap to expect then; None where the levels do not say
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,22 +73,28 @@ class Certificate:
     motion: Motion  # the best known motion of the discretised problem
     energy_j: float  # its energy there [J]
     lower_bound_j: float  # no motion takes less [J]
-    certify_s: float  # wall time, planning not included [s]
-    levels: tuple[Level, ...]
+    certify_s: float  # time by the clock, planning not included [s]
+    levels: tuple[Level, ...]  # at least one
     reason: str  # why bounding ended
+    processor_s: float  # processor time of it, all threads together [s]
+    more_time: Outlook | None  # None where time was not what bounding lacked
 
     @property
     def gap_percent(self) -> float:
         """How much less the best possible motion may take, in percent of the best known one's energy."""
         return _gap(self.energy_j, self.lower_bound_j)
 
-    def json(self) -> dict[str, float | None]:
-        """What `--json` adds: the bound beside the best motion's energy in the same discretisation."""
+    def json(self) -> dict[str, Any]:
+        """What `--json` adds: the bound beside the best motion's energy in the same discretisation, and its course."""
         return {
             "discretised_energy_j": self.energy_j,
             "lower_bound_j": self.lower_bound_j,
             "gap_percent": self.gap_percent,
             "certify_s": self.certify_s,
+            "certify_processor_s": self.processor_s,
+            "certify_reason": self.reason,
+            "certify_levels": [asdict(level) for level in self.levels],
+            "certify_more_time": None if self.more_time is None else asdict(self.more_time),
         }
 
     def __repr__(self) -> str:
@@ -87,13 +109,14 @@ class _Way:
     """A way to choose the slopes of planes."""
 
     slopes: Callable[[], cells.GivenSlopes | None]
+    coarse: bool = False  # as in `cells.bound`
     promise: float = 0.0  # gap that it may reach on the next level [%]
 
     def bound(
         self, kept: cells.Cells, start: float | None, energy: float, clock: Callable[[float], None], limit: float
     ) -> cells.Bounds:
         """The bound with these slopes."""
-        found = cells.bound(kept, start, clock, self.slopes(), limit)
+        found = cells.bound(kept, start, clock, self.slopes(), limit, self.coarse)
         self.promise = _gap(energy, found.lower)
         return found
 
@@ -115,7 +138,8 @@ def certify(
         pump: "ls" or "cp": whose energy counts.
         motion: The motion to compare with, from the task's start; by default the planner's.
         step: Length of a stage [s].
-        seconds: Time after which bounding ends, planning not included [s].
+        seconds: Time after which bounding ends, planning not included [s]: processor time on every processor used,
+            and twice as much by the clock at most. The coarsest level is finished however short it is.
         gap: Gap at which bounding ends [%].
         progress: Called with what happens and the share done.
 
@@ -137,7 +161,7 @@ def certify(
         dp.prepare()
         cells.prepare()
         guide.prepare()
-    began = time.perf_counter()
+    budget = Budget(seconds)
     problem = stages.discretise(task, step)
     start = dp.start_position(problem, task.start)
     if start is not None and abs(motion.position[0] - start) > 1e-6:
@@ -155,11 +179,12 @@ def certify(
             f"the motion breaks a limit at the start of a stage of {problem.step:.4g} s: so long stages may be too "
             "coarse for this task; plan and certify with one step, and a shorter one"
         )
-    levels, reason = _bound(problem, pump, start, best, began, seconds, gap, tell)
+    proof = _Proof(problem, pump, start, best, gap, budget, tell)
+    reason = _bound(proof)
     tell("done", 1.0)
     return Certificate(
-        task, pump, problem.step, best.motion, best.energy, levels[-1].lower_bound_j if levels else 0.0,
-        time.perf_counter() - began, levels, reason,
+        task, pump, problem.step, best.motion, best.energy, proof.lower, budget.gone, tuple(proof.levels), reason,
+        budget.processor, proof.outlook() if reason == TIME_IS_OVER else None,
     )  # fmt: skip
 
 
@@ -178,52 +203,158 @@ def check(pump: str, step: float, seconds: float, gap: float) -> None:
         raise InputError("; ".join(problems))
 
 
-def _bound(
-    problem: Problem, pump: str, start: float | None, best: Measured, began: float, seconds: float, gap: float,
-    tell: Progress,
-) -> tuple[tuple[Level, ...], str]:  # fmt: skip
-    """Bound on ever smaller cells until the gap or the time is reached."""
-    levels: list[Level] = []
-    lower = 0.0
-    enough = best.energy * (1.0 + ROUNDING - ENOUGH * gap / 100.0)  # motions that take more need no closer look
-    outside = best.energy  # no motion that leaves the cells takes less
-    tell("enclosing the crane's motion over cells", 0.05)
-    kept: cells.Cells | None = cells.whole(problem, pump, best.motion)
-    ways = [_Way(lambda: None)]
-    if guide.memory(problem) < 0.5 * dp.free_memory():
-        known = cache(lambda viable=kept.viable: guide.make(problem, pump, viable, best.motion).slopes)
-        ways.append(_Way(known))
-    size = kept.positions, int(kept.velocities.min())
-    while kept is not None:
-        name = f"cells {size[0]}x{size[1]}, gap so far {_gap(best.energy, lower):.2f} %"
-        clock = _clock(began, seconds, name, tell)
-        try:
-            found = _tightest(kept, start, best.energy, gap, ways, clock, enough if levels else np.inf)
-            if not np.isfinite(found.lower) and not levels:
-                raise InfeasibleError("proven: no motion of the discretised problem keeps every limit")
-            _check_along(found, best)
-            if not levels and found.lower > (1.0 + SLACK) * best.energy:
-                raise LeanboomError(
-                    "the bound is above the energy of the motion it is compared with; nothing is certified"
-                )
-            lower = max(lower, min(found.lower, outside) * (1.0 - ROUNDING))
-            gone = time.perf_counter() - began
-            levels.append(Level(*size, kept.count, lower, _gap(best.energy, lower), gone))
-            if levels[-1].gap_percent <= gap:
-                return tuple(levels), "gap reached"
-            excess, outside = cells.reach(found, enough, clock), min(enough, best.energy)
-            if cells.memory(kept, excess) > 0.5 * dp.free_memory():
-                return tuple(levels), "smaller cells would not fit into the memory"
+@dataclass(slots=True, eq=False)
+class _Proof:
+    """What is proven so far, and what is under way."""
+
+    problem: Problem
+    pump: str
+    start: float | None
+    best: Measured
+    gap: float
+    budget: Budget
+    tell: Progress
+    levels: list[Level] = field(default_factory=list)
+    whole: list[tuple[int, int]] = field(default_factory=list)  # how coarse the levels of whole stages were
+    lower: float = 0.0
+    rate: float = 0.0  # time that a cell of the last level took [s]
+    begun: float = 0.0  # time spent when what is under way began [s]
+    under_way: tuple[int, int] = (0, 0)  # its cells: of a stage, and all looked at; 0 while not known
+
+    @property
+    def enough(self) -> float:
+        """Energy of motions that need no closer look [J]."""
+        return self.best.energy * (1.0 + ROUNDING - ENOUGH * self.gap / 100.0)
+
+    @property
+    def reached(self) -> bool:
+        """Whether the gap asked for is proven."""
+        return _gap(self.best.energy, self.lower) <= self.gap
+
+    def clock(self, share: float = 0.0, *, name: str = "") -> None:
+        """The check of a pass over cells: end it when the time is over."""
+        if self.budget.over:
+            raise cells.OutOfTime
+        gap = f"gap so far {_gap(self.best.energy, self.lower):.2f} %"
+        self.tell(f"{name}, {gap}" if name else gap, min(0.99, 0.05 + 0.94 * self.budget.spent / self.budget.seconds))
+
+    def begin(self, kept: cells.Cells | None) -> Callable[[float], None]:
+        """Note what is under way; returns its clock."""
+        self.begun = self.budget.spent
+        if kept is None:
+            self.under_way = 0, 0
+            return self.clock
+        rows, columns = _size(kept)
+        self.under_way = rows * columns, kept.count
+        return partial(self.clock, name=f"cells {rows}x{columns}")
+
+    def add(self, size: tuple[int, int], count: int, lower: float) -> None:
+        """One more level, and what it proves."""
+        self.rate = (self.budget.spent - self.begun) / max(count, 1)
+        self.lower = max(self.lower, lower * (1.0 - ROUNDING))
+        gap = _gap(self.best.energy, self.lower)
+        self.levels.append(Level(*size, count, self.lower, gap, self.budget.gone, self.budget.processor))
+
+    def check(self, found: cells.Bounds, whole: bool) -> None:
+        """Refuse a bound that cannot be right; `whole` says that no motion leaves the cells."""
+        if whole and not np.isfinite(found.lower):
+            raise InfeasibleError("proven: no motion of the discretised problem keeps every limit")
+        _check_along(found, self.best)
+        if whole and found.lower > (1.0 + SLACK) * self.best.energy:
+            raise LeanboomError("the bound is above the energy of the motion it is compared with; nothing is certified")
+
+    def bound_coarse(self, times: tuple[int, int], hurry: bool) -> cells.Bounds:
+        """A level of coarse cells, finished whatever the clock says unless there is a hurry."""
+        kept = cells.whole(self.problem, self.pump, self.best.motion, times)
+        clock = self.begin(kept)
+        found = cells.bound(kept, self.start, clock if hurry else lambda share: None, coarse=True)
+        self.check(found, True)
+        self.whole.append(times)
+        self.add(_size(kept), kept.count, min(found.lower, self.best.energy))
+        return found
+
+    def in_time(self) -> tuple[int, int] | None:
+        """How coarse the finest whole level is that can be expected to end in time; None where none can."""
+        for times in (FINEST, *reversed(cells.COARSE[1:])):
+            size = cells.size(self.problem, self.pump, self.best.motion, times)
+            takes = GROWING * self.rate * size.count
+            if self.budget.spent + takes <= self.budget.seconds and cells.memory_of(self.problem, size) < _memory():
+                return times
+        return None
+
+    def outlook(self) -> Outlook:
+        """What more time would bring, from how long a cell took and how the gap fell from level to level."""
+        last = self.levels[-1]
+        size, count = self.under_way if self.under_way[1] else (4 * last.positions * last.velocities, 4 * last.cells)
+        needed = max(self.begun + self.rate * count, (1.0 + LONGER) * self.budget.spent)
+        empty = EMPTY * self.best.energy
+        known = {e.positions * e.velocities: e.gap_percent for e in self.levels if e.lower_bound_j >= empty}
+        gap = None
+        if len(known) > 1:
+            (few, wide), (many, narrow) = sorted(known.items())[-2:]
+            order = min(np.log(wide / narrow) / np.log(many / few), 1.0)
+            gap = max(narrow * (many / max(size, many)) ** order, self.gap) if order > FLAT else None
+        return Outlook(float(f"{needed:.2g}"), gap)
+
+
+def _bound(proof: _Proof) -> str:
+    """Bound on ever smaller cells until the gap or the time is reached; returns why it ended."""
+    proof.tell("enclosing the crane's motion over cells", 0.05)
+    found = proof.bound_coarse(cells.COARSE[0], hurry=False)
+    try:
+        return _refine(proof, found)
+    except cells.OutOfTime:
+        under_way = proof.begun, proof.under_way
+        for times in cells.COARSE:
+            # A bound of nothing says nothing: cells small enough for more, whatever the clock says.
+            if proof.lower < EMPTY * proof.best.energy and times not in proof.whole:
+                proof.bound_coarse(times, hurry=False)
+        proof.begun, proof.under_way = under_way
+        return TIME_IS_OVER
+
+
+def _refine(proof: _Proof, found: cells.Bounds) -> str:
+    """Go on from the bounds of the coarsest level; returns why it ended, raises OutOfTime."""
+    problem, best, times, whole = proof.problem, proof.best, proof.in_time(), False
+    kept = None
+    if times == FINEST:
+        kept, whole = cells.whole(problem, proof.pump, best.motion), True
+    elif times is not None and not proof.reached:
+        found = proof.bound_coarse(times, hurry=True)
+    viable = (kept or found.cells).viable
+    ways = [_Way(lambda: None, coarse=kept is None)]
+    if guide.memory(problem) < _memory():
+        ways.append(_Way(cache(lambda: guide.make(problem, proof.pump, viable, best.motion).slopes)))
+    while not proof.reached:
+        if kept is None:
+            excess = cells.reach(found, proof.enough, proof.begin(None))
+            if cells.memory(found.cells, excess) > _memory():
+                return "smaller cells would not fit into the memory"
             # Where power has no jumps, halving the first rows gains next to nothing beside halving velocities.
-            rows_too = pump == "ls" or len(levels) > 1 or levels[-1].gap_percent > HOPELESS
-            size = (2 if rows_too else 1) * size[0], 2 * size[1]
-            kept = cells.refine(found, excess, rows_too)
-        except cells.OutOfTime:
-            return tuple(levels), "time is over"
-    lower = outside * (1.0 - ROUNDING)  # no motion stays in the cells
-    gone = time.perf_counter() - began
-    levels.append(Level(*size, 0, lower, _gap(best.energy, lower), gone))
-    return tuple(levels), "gap reached"
+            rows_too = not whole or proof.pump == "ls" or _gap(best.energy, proof.lower) > HOPELESS
+            kept, whole = cells.refine(found, excess, rows_too), False
+            if kept is None:  # no motion stays in the cells
+                rows, columns = _size(found.cells)
+                proof.add(((2 if rows_too else 1) * rows, 2 * columns), 0, min(proof.enough, best.energy))
+                break
+        # Whole stages are bounded without a limit: their bound is checked against the best motion's energy.
+        clock, limit = proof.begin(kept), np.inf if whole else proof.enough
+        found = _tightest(kept, proof.start, best.energy, proof.gap, ways, clock, limit)
+        proof.check(found, whole)
+        outside = best.energy if whole else min(proof.enough, best.energy)  # no motion that leaves the cells takes less
+        proof.add(_size(kept), kept.count, min(found.lower, outside))
+        kept = None
+    return "gap reached"
+
+
+def _memory() -> float:
+    """Memory that bounding may take [bytes]."""
+    return 0.5 * dp.free_memory()
+
+
+def _size(kept: cells.Cells) -> tuple[int, int]:
+    """Rows and columns of a stage's cells, narrower ones apart."""
+    return kept.positions, int(kept.velocities.min())
 
 
 def _tightest(
@@ -248,16 +379,6 @@ def _tightest(
     for way in ways:
         way.promise *= PROMISE
     return best
-
-
-def _clock(began: float, seconds: float, name: str, tell: Progress) -> Callable[[float], None]:
-    def clock(share: float) -> None:
-        gone = time.perf_counter() - began
-        if gone > seconds:
-            raise cells.OutOfTime
-        tell(name, min(0.99, 0.05 + 0.94 * gone / seconds))
-
-    return clock
 
 
 def _check_along(found: cells.Bounds, best: Measured) -> None:

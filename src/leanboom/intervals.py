@@ -17,6 +17,7 @@ from leanboom.stages import Problem
 POSITION = 0.006  # [m], largest width of a row of the first level
 NEAR = 0.1  # [m], from a motion to which rows beside it are narrower
 END, NARROWEST = 0.02, 16  # [m], from an end to which a motion's rows are so many times narrower, and cells lower
+OUTERMOST = 64  # how many times narrower the outermost row of a coarse level is: an end may be near a singular pose
 # How many times narrower rows and lower cells are there; where power jumps with velocity (LS), rows do more.
 FINER = {"cp": (4, 4), "ls": (8, 2)}
 THIN = 1e-9  # [m], least range of a stage's positions
@@ -29,8 +30,13 @@ def from_end(problem: Problem, k: int | slice, position: np.ndarray) -> np.ndarr
     return np.minimum(position - problem.lower[k], problem.upper[k] - position)
 
 
-def whole(problem: Problem, k: int, positions: int, beside: Motion | None, narrower: int) -> np.ndarray:
-    """Edges of the rows of a whole stage [m]: `positions` equal ones, those near the motion cut `narrower`."""
+def whole(
+    problem: Problem, k: int, positions: int, beside: Motion | None, narrower: int, ends: bool = False
+) -> np.ndarray:
+    """Edges of the rows of a whole stage [m]: `positions` equal ones, those near the motion cut `narrower`.
+
+    Where `ends` is set, rows at both ends are halved toward the end, down to an `OUTERMOST`-th.
+    """
     low, high = problem.lower[k], max(problem.upper[k], problem.lower[k] + THIN)
     edges = np.arange(positions * NARROWEST + 1)
     middle = low + (high - low) * (np.arange(positions + 1) + 0.5) / positions
@@ -41,7 +47,11 @@ def whole(problem: Problem, k: int, positions: int, beside: Motion | None, narro
         if from_end(problem, k, beside.position[k]) < END:
             parts[near & (from_end(problem, k, middle) < END)] = NARROWEST
     edges = edges[edges % (NARROWEST // parts[edges // NARROWEST]) == 0]
-    return low + (high - low) * edges / (positions * NARROWEST)
+    parted = NARROWEST
+    if ends:
+        parted, halves = OUTERMOST, 2 ** np.arange(OUTERMOST.bit_length())
+        edges = np.unique(np.concatenate([edges * (parted // NARROWEST), halves, positions * parted - halves]))
+    return low + (high - low) * edges / (positions * parted)
 
 
 def middles(edges: np.ndarray) -> np.ndarray:

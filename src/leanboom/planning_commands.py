@@ -104,7 +104,9 @@ def certify(
         ),
     ] = None,
     step: Annotated[str, typer.Option(metavar="TIME", help="Length of a stage, in seconds.")] = "0.05",
-    seconds: Annotated[str, typer.Option(metavar="TIME", help="Time for bounding; planning comes on top.")] = "60 s",
+    seconds: Annotated[
+        str, typer.Option(metavar="TIME", help="Processor time for bounding; twice as long by the clock at most.")
+    ] = "60 s",
     gap: Annotated[str, typer.Option(metavar="PERCENT", help="Gap at which bounding ends.")] = "0.5",
     as_json: Json = False,
 ) -> None:

@@ -13,7 +13,7 @@ from leanboom.source import shortened
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from leanboom.certificate import Certificate
+    from leanboom.certificate import Certificate, Outlook
 
 
 def certificate(console: Console, proof: Certificate) -> None:
@@ -34,9 +34,20 @@ def certificate(console: Console, proof: Certificate) -> None:
         )  # fmt: skip
     console.print(f"{shortened(proof.task.name, 80)}, {PUMPS[proof.pump]}: what is proven", markup=False)
     console.print(table)
-    for label, text in (
+    lines = [
         ("Best known motion", f"{proof.energy_j / 1e3:.3f} kJ over stages of {proof.step:g} s"),
         ("No motion below", f"{proof.lower_bound_j / 1e3:.3f} kJ"),
         ("Gap", f"{proof.gap_percent:.2f} % ({proof.reason} after {proof.certify_s:.1f} s)"),
-    ):
+        ("Processor time", f"{proof.processor_s:.1f} s"),
+    ]
+    if proof.more_time is not None:
+        lines.append(("More time", _more_time(proof.more_time)))
+    for label, text in lines:
         console.print(f"{label:<22}{text}", markup=False)
+
+
+def _more_time(outlook: Outlook) -> str:
+    """What more time would bring, in words."""
+    gap = outlook.gap_percent
+    brings = "one more level; too few levels to expect a gap" if gap is None else f"a gap of about {gap:.2g} %"
+    return f"--seconds {outlook.seconds:g}: {brings} (extrapolated, not proven)"
