@@ -250,7 +250,7 @@ def test_the_best_level_that_converged_is_kept(task, monkeypatch):
     def failing(problem, functions, points, level, guess, drawn):
         attempt = solve(problem, functions, points, level, guess, drawn)
         if level.nodes == 30:
-            attempt = replace(attempt, answer=replace(attempt.answer, converged=False, text="gave up"))
+            attempt = replace(attempt, answer=replace(attempt.answer, converged=False, raw="gave up"))
         return attempt
 
     monkeypatch.setattr(collocation, "_solve", failing)
