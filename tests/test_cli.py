@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -575,3 +578,83 @@ def test_an_incomplete_simulation_is_kept_and_exits_with_1(calls, tmp_path, monk
     assert json.loads(result.stdout)["events"][-1]["kind"] == "solver"
     assert "incomplete: the solver gave up" in result.stderr
     assert (tmp_path / "run" / "simulation.html").is_file()
+
+
+INTERRUPTED_START = """
+import os, signal, sys
+
+left = int(sys.argv[1])
+
+
+class Finder:
+    def find_spec(self, *_):
+        global left
+        left -= 1
+        if left == 0:
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+import leanboom.__main__ as beginning
+
+sys.meta_path.insert(0, Finder())
+sys.argv = ["leanboom", "tasks"]
+beginning.main()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX systems")
+@pytest.mark.parametrize("left", [1, 150, 400])
+def test_ctrl_c_while_modules_load_ends_with_a_word(left):
+    """It ended in a traceback of whatever was imported at the moment."""
+    answer = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED_START, str(left)], capture_output=True, text=True, check=False
+    )
+    assert (answer.returncode, answer.stdout, answer.stderr) == (130, "", "leanboom: interrupted\n")
+
+
+def test_ctrl_c_during_work_is_an_exception_and_work_can_be_tidied_up():
+    def leave(*_):
+        raise AssertionError
+
+    before = signal.signal(signal.SIGINT, leave)
+    try:
+        with terminal.Progress():
+            assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        assert signal.getsignal(signal.SIGINT) is leave
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        with terminal.Progress():
+            assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize(
+    ("target", "arguments"),
+    [
+        ("a full disk", "tasks"),
+        ("a full disk", "--help"),
+        ("a closed pipe", "tasks"),
+        ("a closed pipe", "tasks --json"),
+    ],
+)
+def test_results_that_cannot_be_written_end_with_a_message(target, arguments):
+    """Both ended in a traceback, of the command or of Python's own end."""
+    if target == "a full disk":
+        if not Path("/dev/full").exists():
+            pytest.skip("this system has no device that is always full")
+        stream = Path("/dev/full").open("wb")
+    else:
+        read, write = os.pipe()
+        os.close(read)
+        stream = os.fdopen(write, "wb")
+    with stream:
+        answer = subprocess.run(
+            [sys.executable, "-m", "leanboom", *arguments.split()],
+            stdout=stream,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert answer.returncode == 2
+    reason = "No space left on device" if target == "a full disk" else "Broken pipe"
+    assert answer.stderr == f"leanboom: standard output: cannot be written: {reason}\n"

@@ -7,7 +7,11 @@ command needs is imported when it runs, so that help comes at once.
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -25,15 +29,38 @@ INTERRUPTED = 130  # exit code of a process ended by Ctrl-C
 class _Guarded(TyperGroup):
     """Commands whose refusals end as one message and an exit code, never as a traceback."""
 
+    def make_context(self, *args: Any, **settings: Any) -> Any:
+        with _refusals():  # of help and version, which are printed while options are read
+            return super().make_context(*args, **settings)
+
     def invoke(self, ctx: Any) -> Any:
-        try:
+        with _refusals():
             return super().invoke(ctx)
-        except LeanboomError as error:
-            complain(error)
-            raise typer.Exit(error.exit_code) from None
-        except KeyboardInterrupt:
-            complain("interrupted")
-            raise typer.Exit(INTERRUPTED) from None
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """What must not go on ends as a message and an exit code."""
+    try:
+        yield
+    except LeanboomError as error:
+        complain(error)
+        raise typer.Exit(error.exit_code) from None
+    except KeyboardInterrupt:
+        complain("interrupted")
+        raise typer.Exit(INTERRUPTED) from None
+    except OSError as error:  # what becomes of folders and files is said where they are used
+        raise _unwritten(error.filename, error.strerror or str(error)) from None
+    except SystemExit:  # rich's answer to a closed pipe
+        raise _unwritten(None, os.strerror(errno.EPIPE)) from None
+
+
+def _unwritten(file: str | None, reason: str) -> typer.Exit:
+    """What ends a command whose results cannot be written; said here."""
+    complain(f"{file or 'standard output'}: cannot be written: {reason}")
+    with suppress(OSError, ValueError):  # of an output that is no file
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python would try again in the end
+    return typer.Exit(LeanboomError.exit_code)
 
 
 app = typer.Typer(

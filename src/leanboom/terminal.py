@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import signal
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Annotated, Any
 
 import typer
@@ -95,14 +97,20 @@ def print_json(value: Any) -> None:
 def complain(error: LeanboomError | str) -> None:
     """One message on standard error, without control characters of file names."""
     text = "".join(c if c.isprintable() or c == "\n" else "?" for c in str(error))
-    typer.echo(f"leanboom: {text}", err=True)
+    _say(text)
+
+
+def _say(text: str) -> None:
+    """One message on standard error, if that can be written."""
+    with suppress(OSError):
+        typer.echo(f"leanboom: {text}", err=True)
 
 
 class Progress:
     """What a command does at the moment, on standard error.
 
     A terminal gets a bar. Elsewhere a line now and then tells of a beginning that takes long, such as the first
-    compilation, or each step has a line.
+    compilation, or each step has a line. Meanwhile Ctrl-C raises KeyboardInterrupt, so that work is tidied up.
     """
 
     def __init__(self, steps: bool = False) -> None:
@@ -112,6 +120,9 @@ class Progress:
         self._beginning = ""  # what the next line will say
 
     def __enter__(self) -> Progress:
+        self._handler = signal.getsignal(signal.SIGINT)
+        if callable(self._handler):  # else it is ignored, or not Python's
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         if sys.stderr.isatty():
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -128,28 +139,30 @@ class Progress:
             self._bar.update(self._task, description=text, completed=fraction)
             return
         if self._steps:
-            typer.echo(f"leanboom: {text}", err=True)
+            _say(text)
         elif fraction == 0.0:
             self._beginning = text
             if self._over is None:
                 from threading import Event, Thread
 
                 self._over = Event()
-                Thread(target=self._say, args=(self._over,), daemon=True).start()
+                Thread(target=self._go_on, args=(self._over,), daemon=True).start()
         else:
             self._quiet()
 
-    def _say(self, over: Any) -> None:
+    def _go_on(self, over: Any) -> None:
         """Say now and then what happens, until the beginning is over."""
         wait = PATIENCE
         while not over.wait(wait):
-            typer.echo(f"leanboom: {self._beginning}", err=True)
+            _say(self._beginning)
             wait = INTERVAL
 
     def __exit__(self, *_: object) -> None:
         self._quiet()
         if self._bar is not None:
             self._bar.stop()
+        if callable(self._handler):
+            signal.signal(signal.SIGINT, self._handler)
 
     def _quiet(self) -> None:
         if self._over is not None:
