@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import leanboom
-from leanboom import compiling
+from leanboom import compiling, fingerprint
 from leanboom.errors import InputError
 
 PROBE = """
@@ -80,7 +80,7 @@ def test_without_a_home_kernels_go_to_a_temporary_folder_with_one_line(package, 
     assert again.stdout.split() == ["3.0", "0"]
 
 
-def test_without_any_folder_the_variable_is_named(monkeypatch, tmp_path):
+def test_without_any_folder_the_variable_is_named(place, monkeypatch, tmp_path):
     def nowhere():
         raise FileNotFoundError(2, "No usable temporary directory found")
 
@@ -88,7 +88,7 @@ def test_without_any_folder_the_variable_is_named(monkeypatch, tmp_path):
     monkeypatch.setenv(compiling.VARIABLE, str(tmp_path / "file" / "kernels"))
     monkeypatch.setattr(compiling, "_temporary_folder", nowhere)
     with pytest.raises(InputError, match=r"cannot be kept in .*; set NUMBA_CACHE_DIR to a folder that can be written"):
-        compiling._folder()
+        compiling._folder("kernels")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="owners and permissions of POSIX systems")
@@ -102,27 +102,49 @@ def test_a_temporary_folder_that_others_can_write_is_not_used(monkeypatch, tmp_p
     assert other != mine and not other.stat().st_mode & 0o077
 
 
-def test_kernels_of_sources_long_out_of_use_are_removed(tmp_path):
-    old, recent, strange = (tmp_path / name for name in (f"leanboom-{'0' * 16}", f"leanboom-{'1' * 16}", "mine"))
+@pytest.fixture
+def place(monkeypatch, tmp_path):
+    """An empty place for compiled code, as at the beginning of a process."""
+    for function in (compiling._folder, compiling._place):
+        function.cache_clear()
+        monkeypatch.setattr(compiling, function.__name__, function)
+    monkeypatch.setenv(compiling.VARIABLE, str(tmp_path))
+    yield tmp_path
+    for function in (compiling._folder, compiling._place):
+        function.cache_clear()
+
+
+def test_kernels_of_sources_long_out_of_use_are_removed(place):
+    old, recent, strange = (place / name for name in (f"leanboom-{'0' * 16}", f"leanboom-{'1' * 16}", "mine"))
     for folder in (old, recent, strange):
         folder.mkdir()
         (folder / "kernel.nbi").write_bytes(b"")
     ago = time.time() - compiling.UNUSED - 60.0
     for folder in (old, strange):
         os.utime(folder, (ago, ago))
-    made = compiling._made(tmp_path / f"leanboom-{'2' * 16}")
-    assert set(tmp_path.iterdir()) == {recent, strange, made}
+    made = Path(compiling._folder("kernels"))
+    assert set(place.iterdir()) == {recent, strange, made}
     os.utime(made, (ago, ago))
-    compiling._made(made)
+    compiling._folder.cache_clear()
+    assert compiling._folder("kernels") == str(made)
     assert time.time() - made.stat().st_mtime < 60.0  # used, so it stays for another week
 
 
-def test_settings_that_change_compiled_code_have_their_own_folder(monkeypatch):
-    plain = compiling._name()
+def test_settings_that_change_compiled_code_have_their_own_folder(place, monkeypatch):
+    plain = compiling._folder("kernels")
     monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
-    assert compiling._name() == plain
+    compiling._folder.cache_clear()
+    assert compiling._folder("kernels") == plain != compiling._folder("program")
     monkeypatch.setenv("NUMBA_BOUNDSCHECK", "1" if os.environ.get("NUMBA_BOUNDSCHECK") != "1" else "0")
-    assert compiling._name() != plain
+    compiling._folder.cache_clear()
+    assert compiling._folder("kernels") != plain
+
+
+def test_code_that_no_kernel_calls_may_change():
+    """Compiling all kernels again for a word on the command line would take a minute or two."""
+    needed = fingerprint.needed("kernels") | fingerprint.needed("interior_point")
+    assert {"kernels", "interior_point", "program", "hydraulics", "dynamics", "formula", "compiling"} <= needed
+    assert not {"cli", "planner", "report", "judge", "stages"} & needed
 
 
 def test_compiling_is_told_while_it_happens_and_only_then():

@@ -17,7 +17,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from leanboom.errors import InputError, LeanboomError
+from leanboom.errors import LeanboomError
 from leanboom.file_commands import check, machines, new, tasks
 from leanboom.planning_commands import certify, plan, simulate
 from leanboom.study_commands import compare, reproduce
@@ -51,7 +51,10 @@ def _refusals() -> Iterator[None]:
         raise typer.Exit(INTERRUPTED) from None
     except OSError as error:  # what becomes of folders and files is said where they are used
         raise _unwritten(error.filename, error.strerror or str(error)) from None
-    except SystemExit:  # rich's answer to a closed pipe
+    except SystemExit as end:
+        if end.code != 1:
+            raise
+        # Rich's answer to a closed pipe.
         raise _unwritten(None, os.strerror(errno.EPIPE)) from None
 
 
@@ -74,12 +77,9 @@ app = typer.Typer(
 def main() -> NoReturn:
     """Run the command line and end the process with its exit code."""
     try:
-        sys.exit(app())
+        sys.exit(app(prog_name="leanboom"))
     except KeyboardInterrupt:  # before or after a command
         sys.exit(INTERRUPTED)
-    except OSError as error:  # completion is installed into a home that cannot be written
-        complain(f"{error.filename}: cannot be written: {error.strerror}")
-        sys.exit(InputError.exit_code)
 
 
 def _version(wanted: bool) -> None:

@@ -2,11 +2,12 @@
 
 By itself numba keeps compiled code beside the sources and renews it when the file of a kernel changes. It misses a
 change in a formula which the kernel calls from another file, and most of its own settings, and would run code that is
-not there any more. So the folder's name holds a digest of all that, and every kernel module takes `njit` from here.
+not there any more. So each kernel module takes `njit` from here: the name of its folder is a digest of all that.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import logging
 import os
@@ -50,7 +51,8 @@ def njit(**options: Any) -> Callable[[F], F]:
     def decorate(function: F) -> F:
         _kernels.add(function)
         others = _settings.CACHE_DIR  # that of other packages in this process
-        _settings.CACHE_DIR = _FOLDER
+        if options.get("cache"):
+            _settings.CACHE_DIR = _folder(function.__module__.removeprefix("leanboom."))
         try:
             compiled: Any = numba.njit(**options)(function)
         finally:
@@ -96,39 +98,39 @@ def _function(event: event.Event) -> Callable:
     return event.data["dispatcher"].py_func
 
 
-def _name() -> str:
-    """Name of the folder for these sources, this numba and its settings."""
+@functools.cache
+def _folder(module: str) -> str:
+    """The folder with the compiled code of a module: another one for other sources, numba or settings of it."""
     settings = {name: value for name, value in os.environ.items() if name.startswith("NUMBA_") and name not in _ASIDE}
-    parts = fingerprint(), numba.__version__, sys.version, sorted(settings.items())
-    return f"leanboom-{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}"
+    parts = module, fingerprint(module), numba.__version__, sys.version, sorted(settings.items())
+    folder = _place() / f"leanboom-{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}"
+    folder.mkdir(exist_ok=True)
+    os.utime(folder)  # used now
+    return str(folder)
 
 
-def _folder() -> Path:
-    """The folder of compiled kernels, which can be written.
+@functools.cache
+def _place() -> Path:
+    """Where compiled code is kept, which can be written; what has long been out of use there is removed.
 
     Raises:
         InputError: No folder can be written, not even a temporary one.
     """
-    name = _name()
     try:
-        base = Path(given) if (given := os.environ.get(VARIABLE)) else _user_folder()
-        return _made(base / name)
+        return _tried(Path(given) if (given := os.environ.get(VARIABLE)) else _user_folder())
     except (OSError, RuntimeError) as error:  # RuntimeError: the user has no home
-        reason = getattr(error, "strerror", None) or str(error)
-        refused = (
-            f"compiled kernels cannot be kept in {getattr(error, 'filename', None) or 'the home folder'}: {reason}"
-        )
+        where = getattr(error, "filename", None) or "the home folder"
+        refused = f"compiled kernels cannot be kept in {where}: {getattr(error, 'strerror', None) or error}"
     try:
-        base = _temporary_folder()
-        found = _made(base / name)
+        place = _tried(_temporary_folder())
     except OSError:
         raise InputError(f"{refused}; set {VARIABLE} to a folder that can be written") from None
     # One line on standard error, unless a program that uses the package has other plans for it.
     logging.getLogger("leanboom").warning(
-        "leanboom: %s; they are in %s now: set %s to a lasting folder that can be written", refused, base, VARIABLE
+        "leanboom: %s; they are in %s now: set %s to a lasting folder that can be written", refused, place, VARIABLE
     )
-    os.environ[VARIABLE] = str(base)  # for processes of this one, which need not warn again
-    return found
+    os.environ[VARIABLE] = str(place)  # for processes of this one, which need not warn again
+    return place
 
 
 def _user_folder() -> Path:
@@ -155,18 +157,14 @@ def _temporary_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="leanboom-"))
 
 
-def _made(folder: Path) -> Path:
-    """A folder of kernels, made where it is missing, tried and marked as used; kernels out of use are removed."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=folder) as file:
+def _tried(place: Path) -> Path:
+    """A place for compiled code, made where it is missing, after a test of writing."""
+    place.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=place) as file:
         file.write(b"\0")
-    os.utime(folder)
-    for other in folder.parent.iterdir():
-        if _NAME.fullmatch(other.name) and other != folder:
+    for folder in place.iterdir():
+        if _NAME.fullmatch(folder.name):
             with suppress(OSError):
-                if time.time() - other.stat().st_mtime > UNUSED:
-                    shutil.rmtree(other, ignore_errors=True)
-    return folder
-
-
-_FOLDER = str(_folder())
+                if time.time() - folder.stat().st_mtime > UNUSED:
+                    shutil.rmtree(folder, ignore_errors=True)
+    return place

@@ -1,59 +1,61 @@
-"""The fingerprint of the package's sources: what was made with other sources is not used again."""
+"""The fingerprint of a module: what was made with other sources is not used again."""
 
 from __future__ import annotations
 
-import ast
 import functools
 import hashlib
-from collections.abc import Iterator
+import re
 from pathlib import Path
 
 _FOLDER = Path(__file__).parent
+_FROM = re.compile(r"^[ \t]*from +(leanboom[\w.]*) +import +(\([^)]*\)|.*)", re.MULTILINE)
+_WORD = re.compile(r"\w+")
+_IMPORT = re.compile(r"^[ \t]*import +(leanboom[^\n#]*)", re.MULTILINE)
 
 
 @functools.cache
-def fingerprint(module: str | None = None) -> str:
-    """SHA-256 of the names and contents of Python files of this package, in hexadecimal digits.
+def fingerprint(module: str) -> str:
+    """SHA-256 of the names and contents of the modules of `needed`, in hexadecimal digits.
 
     Args:
-        module: A module of the package: its file counts, and those it imports anywhere, and so on. None: all files.
+        module: A module's name within this package.
     """
-    paths = _FOLDER.rglob("*.py") if module is None else needed(module)
-    digest = hashlib.sha256()
-    for path in sorted(paths):
-        content = path.read_bytes()
-        digest.update(f"{path.relative_to(_FOLDER).as_posix()}\0{len(content)}\0".encode() + content)
-    return digest.hexdigest()
+    parts = [(name, _read(name)[0]) for name in sorted(needed(module))]
+    return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
-def needed(module: str) -> set[Path]:
-    """The files of a module of this package and of all modules of it that can be imported from there.
+def needed(module: str) -> set[str]:
+    """The names of a module of this package and of all modules of it that can be imported from there.
+
+    An import counts wherever it stands, also inside a function, or for the types alone.
 
     Args:
         module: The module's name within the package.
     """
-    found: set[Path] = set()
-    waiting = [_FOLDER / f"{module}.py"]
+    found: set[str] = set()
+    waiting = {module}
     while waiting:
-        path = waiting.pop()
-        if path not in found:
-            found.add(path)
-            waiting += _imported(ast.parse(path.read_bytes()))
+        found |= waiting
+        waiting = set().union(*(_read(name)[1] for name in waiting)) - found
     return found
 
 
-def _imported(tree: ast.Module) -> Iterator[Path]:
-    """Files of this package that a module imports, at its top or in a function."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            names = [f"{node.module}.{alias.name}" for alias in node.names] + [str(node.module)]
-        else:
-            continue
-        for package, *parts in (name.split(".") for name in names):
-            path = _FOLDER.joinpath(*parts)
-            if package == "leanboom" and parts and path.with_suffix(".py").is_file():
-                yield path.with_suffix(".py")
-            elif package == "leanboom" and parts and path.is_dir():
-                yield from path.rglob("*.py")
+@functools.cache
+def _modules() -> frozenset[str]:
+    """Names of all modules within this package; one that is a folder by its `__init__`."""
+    return frozenset(".".join(path.relative_to(_FOLDER).with_suffix("").parts) for path in _FOLDER.rglob("*.py"))
+
+
+@functools.cache
+def _read(module: str) -> tuple[bytes, frozenset[str]]:
+    """A module's digest, and the modules that it imports. They are sought as text: this is done at every start."""
+    content = _FOLDER.joinpath(*module.split(".")).with_suffix(".py").read_bytes()
+    text = content.decode()
+    names: set[str] = set()
+    for package, what in _FROM.findall(text):
+        names |= {package, *(f"{package}.{name}" for name in _WORD.findall(what))}
+    for modules in _IMPORT.findall(text):
+        names |= {part.split()[0] for part in modules.split(",") if part.strip()}
+    within = {name.removeprefix("leanboom.") for name in names}
+    within |= {f"{name}.__init__" for name in within}
+    return hashlib.sha256(content).digest(), frozenset(within & _modules())
