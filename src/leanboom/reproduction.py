@@ -11,7 +11,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -134,7 +134,8 @@ def key(job: Job) -> str:
         job: The job.
     """
     sources = fingerprint("reproduction")
-    parts = (__version__, sources, repr(job.task), job.method, job.cost, job.grid, SMOOTH, STEP)
+    task = asdict(job.task)  # all of it: its repr is for people
+    parts = (__version__, sources, task, job.method, job.cost, job.grid, SMOOTH, STEP)
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]
 
 
