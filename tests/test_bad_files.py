@@ -310,13 +310,16 @@ BAD_TASKS = {
     ),
     "times falling": (
         [("8.55 s", "3 s")],
-        ["12: path.times = [0 s, 4.2 s, 3 s, 15 s]; times must begin with 0 and every one be above the one before it"],
+        [
+            "12: path.times = [0 s, 4.2 s, 3 s, 15 s]; "
+            "times must begin with 0 and every one be above the one before it, by at least 0.0001 s"
+        ],
     ),
     "times late": (
         [("[0 s, 4.2 s", "[1 s, 4.2 s")],
         [
             "12: path.times = [1 s, 4.2 s, 8.55 s, 15 s]; "
-            "times must begin with 0 and every one be above the one before it"
+            "times must begin with 0 and every one be above the one before it, by at least 0.0001 s"
         ],
     ),
     "times for durations": (
@@ -347,7 +350,10 @@ BAD_TASKS = {
         ["13: start = 2 m; must be from 0 to 1.85 m, the stroke of the extension cylinder"],
     ),
     "negative payload": ([("payload: 0 kg", "payload: -3 kg")], ["4: payload = -3 kg; must be at least 0"]),
-    "no filter at all": ([("payload: 0 kg", "smooth: 0 Hz\npayload: 0 kg")], ["4: smooth = 0 Hz; must be above 0"]),
+    "no filter at all": (
+        [("payload: 0 kg", "smooth: 0 Hz\npayload: 0 kg")],
+        ["4: smooth = 0 Hz; must be from 0.01 Hz to 240 Hz"],
+    ),
     "sideways on a machine that does not slew": (
         [("machine: forwarder", "machine: loader"), ("[2.10, 5.50, 1.30]", "[2.10, 0, 1.30]")],
         [
@@ -364,13 +370,13 @@ BAD_LINES = {
     ),
     "negative duration": (
         [("[10 s, 10 s, 10 s]", "[10 s, -10 s, 10 s]")],
-        ["12: path.durations[1] = -10 s; must be above 0 and at most 3600 s"],
+        ["12: path.durations[1] = -10 s; must be from 0.0001 s to 3600 s"],
     ),
     "a duration of no time": (
         [("[10 s, 10 s, 10 s]", "[10 s, 0, 2 h]")],
         [
-            "12: path.durations[1] = 0; must be above 0 and at most 3600 s",
-            "12: path.durations[2] = 2 h; must be above 0 and at most 3600 s",
+            "12: path.durations[1] = 0; must be from 0.0001 s to 3600 s",
+            "12: path.durations[2] = 2 h; must be from 0.0001 s to 3600 s",
         ],
     ),
 }

@@ -308,7 +308,7 @@ def test_a_start_given_by_the_caller_replaces_the_files(start, expected):
     [
         ("fast", "start = fast; must be smallest, middle, best, or a length of the redundant cylinder such as 0.3 m"),
         (-1, "start = -1; must be smallest, middle, best, or a length of the redundant cylinder such as 0.3 m"),
-        (5.0, "start = 5.0; must be from 0 to 1.85 m, the stroke of the extension cylinder"),
+        (5.0, "start = 5; must be from 0 to 1.85 m, the stroke of the extension cylinder"),
     ],
 )
 def test_a_wrong_start_is_refused(start, message):
@@ -347,8 +347,8 @@ def test_a_changed_value_is_dumped_in_si_units_without_its_old_status(tmp_path):
 def test_a_machine_that_no_file_could_hold_is_not_dumped():
     machine = load_machine("loader")
     with pytest.raises(InputError) as caught:
-        dump_machine(replace(machine, pump=replace(machine.pump, efficiency=2.0)))
-    assert str(caught.value) == "machine loader: pump.efficiency = 2.0; must be above 0 and at most 1"
+        dump_machine(replace(machine, bodies=tuple(replace(body, mass=0.0) for body in machine.bodies[:1])))
+    assert str(caught.value) == f"machine loader: bodies.{machine.bodies[0].name}.mass = 0.0; must be above 0"
 
 
 # Schema and start-up

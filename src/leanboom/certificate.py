@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from leanboom import cells, compiling, dp, guide, incumbent, planner, stages
+from leanboom import cells, compiling, dp, guide, incumbent, planner, resources, stages
 from leanboom.budget import Budget
 from leanboom.errors import InfeasibleError, InputError, LeanboomError
 from leanboom.incumbent import Measured
@@ -349,7 +349,7 @@ def _refine(proof: _Proof, found: cells.Bounds) -> str:
 
 def _memory() -> float:
     """Memory that bounding may take [bytes]."""
-    return 0.5 * dp.free_memory()
+    return 0.5 * resources.free_memory()
 
 
 def _size(kept: cells.Cells) -> tuple[int, int]:

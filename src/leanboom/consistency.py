@@ -6,13 +6,15 @@ Every check looks at the sections that are right in themselves, so that one bad 
 from __future__ import annotations
 
 from math import pi
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import PydanticCustomError
 
 from leanboom.machine import EfficiencyMap, FourBar, Linkage, Machine, Polynomial, RackAndPinion, Telescope, Triangle
-from leanboom.rules import Start
+from leanboom.paths import miscounted
+from leanboom.ranges import CUTOFF
+from leanboom.rules import Quantity, Rule, Start
 from leanboom.schema import (
     AngleRange,
     BodyKeys,
@@ -29,6 +31,7 @@ from leanboom.schema import (
     TelescopeKeys,
 )
 from leanboom.source import Data, Key, Source
+from leanboom.task import Lines, Spline, faults
 from leanboom.units import is_bare
 
 S = TypeVar("S", bound=Section)
@@ -247,26 +250,28 @@ def check_task(source: Source, machine: Machine | None) -> None:
     """Note what does not fit together in a task file, or in the task and its machine."""
     data = source.data if isinstance(source.data, dict) else {}
     path = data.get("path")
-    lines, spline = _part(LinesKeys, path), _part(SplineKeys, path)
-    keys = lines or spline
-    if lines and len(lines.points) != len(lines.durations) + 1:
-        source.add(
-            ("path", "durations"),
-            f" has {len(lines.durations)} entries",
-            f"must have {len(lines.points) - 1}, one less than points",
-        )
-    if spline and len(spline.points) != len(spline.times):
-        count = f"must have {len(spline.points)}, as many as points"
-        source.add(("path", "times"), f" has {len(spline.times)} entries", count)
+    keys = _part(LinesKeys, path) or _part(SplineKeys, path)
+    made = None
+    if isinstance(keys, LinesKeys):
+        if fault := miscounted(keys.points, keys.durations):
+            source.add(("path", "durations"), *fault)
+        else:
+            made = Lines(keys.points, keys.durations)
+    elif isinstance(keys, SplineKeys):
+        if fault := miscounted(keys.points, keys.times, spline=True):
+            source.add(("path", "times"), *fault)
+        else:
+            made = Spline(keys.points, keys.times)
     if machine is None:
         return
-    for i, point in enumerate(keys.points if keys else ()):
-        if not machine.geometry.slewing and abs(point[1]) > 1e-9:
-            source.refuse(("path", "points", i), f"y must be 0, since machine {machine.name} does not slew")
+    start, smooth = _value(Start(), data.get("start")), _value(Quantity(CUTOFF), data.get("smooth"))
+    for key, _, what in faults(made, machine, "middle" if start is None else start, smooth):
+        source.refuse(key, what)
+
+
+def _value(rule: Rule, data: Data) -> Any:
+    """A value on its own; None if it is wrong or missing."""
     try:
-        start = Start().check(data.get("start"))
+        return None if data is None else rule.check(data)
     except PydanticCustomError:
-        return
-    longest = machine.redundant.stroke
-    if isinstance(start, float) and start > longest:
-        source.refuse(("start",), f"must be from 0 to {longest:.6g} m, the stroke of the extension cylinder")
+        return None

@@ -18,7 +18,10 @@ import numpy as np
 from leanboom import dynamics, hydraulics, kinematics, linkages
 from leanboom.errors import InputError
 from leanboom.machine import Body, Machine, Telescope
+from leanboom.paths import approaches
 from leanboom.task import Lines, Reference, Spline, Task, sample
+
+AXIS = 1e-6  # [m], a path nearer to the slewing axis has no base angle there
 
 Value = Any  # float, NumPy array or CasADi symbol
 
@@ -45,13 +48,29 @@ class Crane:
 
 
 def build(task: Task) -> Crane:
-    """The crane of a task, its payload hung where the machine says."""
+    """The crane of a task, its payload hung where the machine says.
+
+    Raises:
+        InputError: If the path passes through the slewing axis.
+    """
     machine = task.machine
+    check_axis(task)
     bodies = machine.bodies
     if task.payload:
         load = Body("payload", "tilt", task.payload, machine.payload_along, machine.payload_above, 0.0, 1.0)
         bodies = (*bodies, load)
     return _on_its_side(Crane(machine, bodies, hydraulics.drives(machine)), task)
+
+
+def check_axis(task: Task) -> None:
+    """Raise InputError if the path of a task passes through the slewing axis."""
+    if task.machine.geometry.slewing:
+        times, distances = approaches(task.path)
+        if distances.size and distances.min() < AXIS:
+            raise InputError(
+                f"the path passes through the slewing axis at {times[distances.argmin()]:.3f} s, where the base angle "
+                "is undefined; move it away"
+            )
 
 
 def sides(machine: Machine) -> tuple[float, ...]:
@@ -117,8 +136,6 @@ def plane(machine: Machine, reference: Reference) -> Plane:
     if not machine.geometry.slewing:
         zero = np.zeros_like(x)
         return Plane(x, z, vx, vz, ax, az, zero, zero, zero)
-    if np.min(np.hypot(x, y)) < 1e-6:
-        raise InputError("the path passes through the slewing axis, where the base angle is undefined; move it away")
     r, vr, ar, v1, a1 = kinematics.cylindrical(x, y, vx, vy, ax, ay)
     q1 = np.unwrap(np.arctan2(y, x))
     # Whole turns are free: take those that bring the path nearest to the middle of the base joint's range.

@@ -25,15 +25,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
 
-from leanboom import continuation, hydraulics, kernels, lookahead, motion, passes, stages
+from leanboom import continuation, hydraulics, kernels, lookahead, motion, passes, ranges, resources, stages
 from leanboom import crane as cranes
 from leanboom.continuation import Continuation
 from leanboom.errors import InputError
 from leanboom.motion import Motion
+from leanboom.ranges import noted
 from leanboom.shaft import shaft_of
 from leanboom.stages import Grid, Problem, Tables
 
@@ -42,6 +44,7 @@ from leanboom.stages import Grid, Problem, Tables
 SLOPES = (20.0, 1.5, 1.5, 0.2)
 
 
+RUNAWAY = 100.0  # velocity limits, where a rollout without a way on is cut off: far beyond what is feasible
 WORTH_SHARING = 2000  # nodes of a stage that make another thread worth while
 STAGE_HIT = 1e-9  # times this close to a stage, relative to its length, are the stage's
 REACHED = 1e-9  # [m], [m/s]: states this far off the grid are on it
@@ -108,9 +111,7 @@ class Policy:
             table.coefficients, table.outside, table.stage, table.cylinder, self.setting, self.values,
             after, stage + 1, c, w, u,
         )  # fmt: skip
-        rest = motion.make(
-            problem.step, c[stage:], w[stage:], u[stage:], "dp", self.cost, lead=lead if share > 0.0 else None
-        )
+        rest = _motion(problem, c[stage:], w[stage:], u[stage:], "dp", self.cost, lead=lead if share > 0.0 else None)
         since = problem.step * (stage + share)
         return continuation.resume(problem.task, since, rest)
 
@@ -190,24 +191,47 @@ def memory(stages_: int, positions: int, velocities: int) -> int:
 def check_memory(stages_: int, positions: int, velocities: int, limit: float | None = None) -> None:
     """Raise InputError where a grid would not fit into the memory that is free."""
     need = memory(stages_, positions, velocities)
-    limit = free_memory() if limit is None else limit
-    if need > 0.8 * limit:
-        raise InputError(
-            f"grid {positions}x{velocities} over {stages_} stages needs {need / 2**30:.1f} GiB, "
-            f"{limit / 2**30:.1f} GiB are free; choose a coarser --grid or a longer --step"
-        )
+    what = f"grid {positions}x{velocities} over {stages_} stages"
+    resources.check_memory(need, what, "choose a coarser --grid or a longer --step", limit)
 
 
-def free_memory() -> float:
-    """Memory this process may still take [bytes]; a generous guess where the system does not say."""
-    try:
-        with open("/proc/meminfo", encoding="ascii") as file:
-            for line in file:
-                if line.startswith("MemAvailable"):
-                    return float(line.split()[1]) * 1024.0
-    except OSError:
-        pass
-    return 4.0 * 2**30
+def nodes(grid: object) -> tuple[int, int]:
+    """Numbers of position and velocity nodes.
+
+    Args:
+        grid: Two whole numbers, of Python or NumPy.
+
+    Raises:
+        InputError: It is something else, or a number is below 3.
+    """
+    given = ranges.listed("grid", grid, "two whole numbers, positions and velocities, such as (141, 71)", 2, 2)
+    numbers = [float(value) if isinstance(value, Real) else np.nan for value in given]
+    whole = [int(value) if np.isfinite(value) and value == int(value) else None for value in numbers]
+    text = "x".join(ranges.shown(value) for value in given)
+    positions, velocities = whole
+    if positions is None or velocities is None:
+        raise InputError(f"grid = {text}; must be two whole numbers")
+    if min(positions, velocities) < 3:
+        raise InputError(f"grid = {text}; needs at least 3 positions and 3 velocities")
+    return positions, velocities
+
+
+def sizes(grid: object, step: object, stage: ranges.Range, problems: list[str]) -> tuple[tuple[int, int], float]:
+    """Numbers of nodes, and the length of a stage [s], as they are used.
+
+    Args:
+        grid: Numbers of position and velocity nodes.
+        step: Length of a stage.
+        stage: Its range.
+        problems: What else is wrong with a call.
+
+    Raises:
+        InputError: There are problems, or one of the two cannot be used; all in one message.
+    """
+    found = noted(problems, nodes, grid), noted(problems, ranges.checked, "step", step, stage)
+    if found[0] is None or found[1] is None or problems:
+        raise InputError("; ".join(problems))
+    return found[0], found[1]
 
 
 def solve(problem: Problem, grid: Grid, cost: str, terminal: Terminal | None = None) -> Policy:
@@ -268,7 +292,23 @@ def rollout(policy: Policy, start: float, method: str = "dp", velocity: float = 
         table.coefficients, table.outside, table.stage, table.cylinder, policy.setting, policy.values,
         np.array([start, velocity]), 0, positions, velocities, control,
     )  # fmt: skip
-    return motion.make(problem.step, positions, velocities, control, method, policy.cost)
+    return _motion(problem, positions, velocities, control, method, policy.cost)
+
+
+def _motion(
+    problem: Problem, position: np.ndarray, velocity: np.ndarray, control: np.ndarray, method: str, cost: str,
+    lead: float | None = None,
+) -> Motion:  # fmt: skip
+    """The motion of a rollout; where that runs away from a state without a way on, its velocities end at `RUNAWAY`."""
+    most = RUNAWAY * problem.crane.machine.redundant.velocity_limit
+    if not np.abs(velocity).max() <= most:  # also where it is no number
+        velocity = np.clip(np.nan_to_num(velocity, nan=most), -most, most)
+        steps = np.full(control.size, problem.step)
+        steps[0] = problem.step if lead is None else lead
+        control = np.diff(velocity) / steps
+        moved = np.cumsum(0.5 * steps * (velocity[1:] + velocity[:-1]))
+        position = position[0] + np.concatenate([[0.0], moved])
+    return motion.make(problem.step, position, velocity, control, method, cost, lead=lead)
 
 
 def best_start(policy: Policy) -> float:

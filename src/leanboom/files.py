@@ -102,7 +102,7 @@ def load_task(name_or_path: str | Path, *, start: str | float | None = None) -> 
         machine=machine,
         path=tool_path,
         payload=keys.payload,
-        start=keys.start if start is None else _start(start, machine),
+        start=keys.start if start is None else start,
         smooth=keys.smooth,
         source=source.text,
     )
@@ -136,23 +136,6 @@ def json_schema(kind: Literal["machine", "task"]) -> dict[str, Any]:
         raise InputError(f"schema = {kind}; must be {', '.join(models)}")
     schema = models[kind].model_json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": f"leanboom {kind} file"}
-
-
-def _start(start: str | float, machine: Machine) -> str | float:
-    """A start given in place of the file's, checked."""
-    from pydantic_core import PydanticCustomError
-
-    from leanboom.rules import Start
-
-    try:
-        value = Start().check(start)
-    except PydanticCustomError as error:
-        raise InputError(f"start = {start}; {error.message()}") from None
-    if isinstance(value, float) and value > machine.redundant.stroke:
-        raise InputError(
-            f"start = {start}; must be from 0 to {machine.redundant.stroke:.6g} m, the stroke of the extension cylinder"
-        )
-    return value
 
 
 def _machine_of(source: Source, folder: Path) -> tuple[Machine | None, tuple[InputError, ...]]:

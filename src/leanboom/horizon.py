@@ -24,9 +24,10 @@ from leanboom import crane as cranes
 from leanboom import dp, motion, stages
 from leanboom.continuation import Continuation
 from leanboom.errors import InfeasibleError, InputError
-from leanboom.judge import Evaluation, evaluate
+from leanboom.judge import Evaluation, check_measurable, evaluate
 from leanboom.motion import Motion
 from leanboom.objective import COSTS
+from leanboom.ranges import STAGE, checked, noted
 from leanboom.replanning import Search, track
 from leanboom.shaft import shaft_of
 from leanboom.stages import Problem
@@ -124,13 +125,15 @@ def plan_receding(
         InputError: For arguments that cannot be used, such as a horizon shorter than a stage.
         InfeasibleError: If `check` and the motion breaks a limit, with the judged motion as its `evaluation`.
     """
-    _check(task, pump, horizon, every, grid, step)
+    grid, step = _check(task, pump, horizon, every, grid, step)
     dp.prepare()
     began = time.perf_counter()
     count = max(2, int(np.ceil(task.duration / step - 1e-9)))
     step = task.duration / count
     ahead, often = max(2, round(horizon / step)), max(1, round(every / step))
-    start = dp.start_position(stages.discretise(replace(task, path=Part(task.path, 0.0, 2 * step)), step), task.start)
+    start = dp.start_position(
+        stages.discretise(replace(task, path=Part(task.path, 0.0, 2 * step), smooth=None), step), task.start
+    )
     assert start is not None
     speed = np.zeros(count + 1)
     position, first, log, previous = start, 0, [], None
@@ -180,20 +183,23 @@ def _plan(
     return min(best, other, key=search.score)
 
 
-def _check(task: Task, pump: str, horizon: float, every: float, grid: tuple[int, int], step: float) -> None:
-    """Raise InputError for arguments that cannot be used, all problems at once."""
+def _check(
+    task: Task, pump: str, horizon: float, every: float, grid: tuple[int, int], step: float
+) -> tuple[tuple[int, int], float]:
+    """Grid and step as they are used; InputError for arguments that cannot be, all problems at once."""
     problems = []
     if pump not in COSTS:
         problems.append(f"pump = {pump}; must be one of {', '.join(COSTS)}")
-    if not 1e-3 <= step <= 1.0:
-        problems.append(f"step = {step:g} s; must be from 0.001 s to 1 s")
+    nodes, length = noted(problems, dp.nodes, grid), noted(problems, checked, "step", step, STAGE)
+    if length is None:
+        pass
     elif not horizon >= 2.0 * step:
         problems.append(f"horizon = {horizon:g} s; must be at least two stages, {2.0 * step:g} s")
     elif not step <= every <= horizon:
         problems.append(f"every = {every:g} s; must be from one stage, {step:g} s, to the horizon, {horizon:g} s")
-    if min(grid) < 3:
-        problems.append(f"grid = {grid[0]}x{grid[1]}; needs at least 3 positions and 3 velocities")
     if task.start == "best":
         problems.append("start = best; needs the whole path, choose smallest, middle or a length")
-    if problems:
+    if nodes is None or length is None or problems:
         raise InputError("; ".join(problems))
+    check_measurable(task)
+    return nodes, length

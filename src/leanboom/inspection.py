@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import files, hydraulics, kinematics, linkages, shaft
-from leanboom.errors import LeanboomError, Problem
+from leanboom import files, hydraulics, kinematics, limit_checks, linkages, shaft
+from leanboom.errors import InfeasibleError, LeanboomError, Problem
 from leanboom.machine import Body, EfficiencyMap, Machine
 from leanboom.source import read, shortened, unusable
 from leanboom.task import sample
@@ -28,6 +28,8 @@ STATUSES = ("printed", "derived", "identified", "assumed", "unstated")
 _ANGLES = 241  # poses looked at for the reach, each way
 _AT_THE_MARGIN = 1e-6  # of the elbow's cosine: such extensions end where the arm would be too nearly straight
 _TOUCHED = 1.01  # an arm within this many times the margin is as near to straight as plans go
+TOO_FAST = 1.02  # shares of a velocity limit that a path may ask for, the coarse look at extensions allowed for
+_EXTENSIONS, _SECTIONS = 33, 24  # extensions looked at, and sections of the range of their velocities
 _TRIAL = 1000.0  # [kg], forces are affine in the payload
 
 
@@ -166,31 +168,77 @@ class PathFacts:
 
 
 def path(task: Task) -> PathFacts:
-    """The path of a task in numbers, checked for reach all along.
+    """The path of a task in numbers, checked for reach and speed all along.
 
     Args:
         task: The task.
 
     Raises:
-        InfeasibleError: If the tool cannot be everywhere on its path, whatever the extension.
+        InfeasibleError: If the tool cannot be everywhere on its path, or not that fast, whatever the extension does.
     """
     from leanboom import stages
 
-    time = np.linspace(0.0, task.duration, 1001)
+    time = limit_checks.times(task.path, np.linspace(0.0, task.duration, 1001))
     points = sample(task, time)
     length = float(np.linalg.norm(np.diff(points.point, axis=0), axis=1).sum())
-    problem = stages.discretise(task, max(0.05, task.duration / 400.0))
     fastest = float(np.linalg.norm(points.velocity, axis=1).max())
-    ends = np.stack([problem.lower, problem.upper]) / problem.crane.ratio
-    nearest = np.abs(cranes.elbow_cosine(problem.crane, problem.plane, ends)).max(axis=0)
-    at = problem.time[nearest > kinematics.BENT - _AT_THE_MARGIN]
+    crane = cranes.build(task)
+    plane = cranes.plane(task.machine, points)
+    intervals = stages.feasible_strokes(task, crane, plane, time)
+    low, high = (np.array([ends.ravel()[i] for ends in intervals]) for i in (0, -1))
+    haste = least_haste(crane, plane, low, high)
+    worst = int(haste.argmax())
+    if haste[worst] > TOO_FAST:
+        raise InfeasibleError(
+            f"the path is too fast for the cylinders at {time[worst]:.3f} s, where the tool moves at "
+            f"{np.linalg.norm(points.velocity[worst]):.3g} m/s: whatever the extension does, one of them would have to "
+            f"move at {haste[worst]:.3g} times its velocity limit; give the path more time there"
+        )
+    nearest = np.abs(cranes.elbow_cosine(crane, plane, np.stack([low, high]) / crane.ratio)).max(axis=0)
+    at = time[nearest > kinematics.BENT - _AT_THE_MARGIN]
     return PathFacts(
         length,
         fastest,
-        (float(problem.lower[0]), float(problem.upper[0])),
-        problem.crane.side == kinematics.ELBOW_DOWN,
+        (float(low[0]), float(high[0])),
+        crane.side == kinematics.ELBOW_DOWN,
         (float(at[0]), float(at[-1])) if at.size else None,
     )
+
+
+def least_haste(crane: cranes.Crane, plane: cranes.Plane, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The velocities that a path asks for, in velocity limits: of the fastest cylinder, the extension at its best.
+
+    At a pose all velocities are affine in that of the extension, so the largest share of a limit is a convex function
+    of it and its least value is found by sections.
+
+    Args:
+        crane: The crane.
+        plane: The tool's motion at some times.
+        low, high: Ends of the feasible extensions then [m], (times,).
+
+    Returns:
+        Shares of the limits, (times,).
+    """
+    strokes = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, _EXTENSIONS)
+    here = plane[:, None]
+    pose = cranes.pose(crane, here, strokes)
+    still, forth = cranes.move(pose, 0.0, 0.0).velocity, cranes.move(pose, 1.0, 0.0).velocity
+    rows = [
+        np.broadcast_arrays(v0 / cylinder.velocity_limit, (v1 - v0) / cylinder.velocity_limit, strokes)[:2]
+        for v0, v1, cylinder in zip(still, forth, crane.machine.cylinders, strict=True)
+    ]
+
+    def largest(w: np.ndarray) -> np.ndarray:
+        return np.max([np.abs(offset + slope * w) for offset, slope in rows], axis=0)
+
+    right = largest(np.zeros_like(strokes)) * crane.machine.redundant.velocity_limit  # beyond, it is the fastest itself
+    left = -right
+    for _ in range(_SECTIONS):
+        first, second = left + (right - left) / 3.0, right - (right - left) / 3.0
+        lower = largest(first) < largest(second)
+        left, right = np.where(lower, left, first), np.where(lower, second, right)
+    shares = np.where(cranes.position_margin(crane, here, strokes) >= -1e-9, largest(0.5 * (left + right)), np.inf)
+    return shares.min(axis=1)
 
 
 def straight(judged: Evaluation) -> tuple[str, ...]:

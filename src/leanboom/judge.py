@@ -1,7 +1,8 @@
 """The judge: completes any Motion on a 2 ms grid and measures it; every number a user sees comes from here.
 
 Energy is the trapezoidal integral of pump power, for the load-sensing and for the constant-pressure pump,
-whatever the motion was planned for. Limits are checked at every sample: use 1.0 means at the limit.
+whatever the motion was planned for. Limits are checked at every sample and between them, see `limit_checks`: use 1.0
+means at the limit.
 """
 
 from __future__ import annotations
@@ -11,30 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import hydraulics, kinematics, remarks
+from leanboom import hydraulics, kinematics, limit_checks, remarks, resources
 from leanboom.errors import InputError
+from leanboom.limit_checks import PATH_TOLERANCE, TOLERANCE, LimitUse
 from leanboom.motion import Motion, headed
 from leanboom.shaft import shaft_of
 from leanboom.task import Task, sample
 
+__all__ = ["PATH_TOLERANCE", "SAMPLE", "TOLERANCE", "Evaluation", "LimitUse", "evaluate", "judged_cost"]
+
 SAMPLE = 0.002  # [s], the papers' recording rate
-TOLERANCE = 1.001  # a limit used above this counts as violated
-BEYOND = 1e6  # values in sentences that are larger are given by their order of magnitude
-PATH_TOLERANCE = 1e-4  # [m], tool path error that counts as leaving the path
-
-
-@dataclass(frozen=True, slots=True)
-class LimitUse:
-    """Largest use of each kind of limit over all joints or cylinders; 1.0 is at the limit."""
-
-    position: float
-    velocity: float
-    acceleration: float
-
-    @property
-    def worst(self) -> float:
-        """The largest of the three."""
-        return max(self.position, self.velocity, self.acceleration)
+# Memory a sample takes [bytes]: while a motion is measured, plain and a joint; in an evaluation, a joint.
+MEASURING, KEPT = (300, 250), 105
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +137,8 @@ def evaluate(task: Task, motion: Motion) -> Evaluation:
         path; values that do not exist, as of a linkage that does not close, are 0. Either way `followed` is False.
 
     Raises:
-        InputError: If the motion does not last as long as the task, or the task's low pass cannot be sampled.
+        InputError: If the motion does not last as long as the task, if the task is too long for the memory that is
+            free, or if its path passes through the slewing axis.
     """
     _check(task, motion)
     with np.errstate(all="ignore"):  # linkages beyond their joints' ranges: reported as such
@@ -159,31 +149,33 @@ def _check(task: Task, motion: Motion) -> None:
     lasts = motion.duration
     if abs(lasts - task.duration) > 1e-6 * task.duration:
         raise InputError(f"the motion lasts {lasts:g} s, the task {task.name} {task.duration:g} s")
-    if task.smooth is not None and not 0.0 < task.smooth < 0.5 / SAMPLE:
-        raise InputError(f"smooth = {task.smooth:g} Hz; must be above 0 Hz and below {0.5 / SAMPLE:g} Hz")
+    check_measurable(task)
 
 
 def _evaluate(task: Task, motion: Motion) -> Evaluation:
     crane = cranes.build(task)
     machine = task.machine
-    time = np.linspace(0.0, task.duration, max(2, int(round(task.duration / SAMPLE)) + 1))
-    c, w, u = motion.at(time) if task.smooth is None else _low_pass(motion, time, task.smooth)
-    reference = sample(task, time)
+    time = np.linspace(0.0, task.duration, _samples(task))
+    looks = limit_checks.times(task.path, time, motion if task.smooth is None else None)
+    regular = np.searchsorted(looks, time)
+    c, w, u = motion.at(looks) if task.smooth is None else _low_pass(motion, time, looks, task.smooth)
+    reference = sample(task, looks)
     plane = cranes.plane(machine, reference)
     pose = cranes.pose(crane, plane, c)
     moving = cranes.move(pose, w, u)
     g = machine.geometry
     r, z = kinematics.tool_point(*pose.q, g.base_x, g.base_z, g.boom, g.offset, g.outer)
-    columns = {
-        "tool": [r * np.cos(plane.q1), r * np.sin(plane.q1), z],
+    rows = {
+        "tool": (r * np.cos(plane.q1), r * np.sin(plane.q1), z),
         "joint_position": (plane.q1, *pose.q) if g.slewing else pose.q,
         "joint_velocity": moving.joint_velocity, "joint_acceleration": moving.joint_acceleration,
-        "length": [length for length, _, _ in pose.cylinders], "velocity": moving.velocity,
+        "length": tuple(length for length, _, _ in pose.cylinders), "velocity": moving.velocity,
         "acceleration": moving.acceleration, "force": cranes.forces(pose, moving),
     }  # fmt: skip
-    moved = {name: np.stack(values, axis=1) for name, values in columns.items()}
-    exists = all(np.isfinite(values).all() for values in moved.values())
-    moved = {name: _finite(values) for name, values in moved.items()}
+    exists = all(np.isfinite(row).all() for values in rows.values() for row in values)
+    if not exists:
+        rows = {name: tuple(_finite(row) for row in values) for name, values in rows.items()}
+    moved = {name: np.stack([row[regular] for row in values], axis=1) for name, values in rows.items()}
     velocity, force = moved["velocity"], moved["force"]
     pressure, flow = hydraulic_state(crane, velocity, force)
 
@@ -194,16 +186,22 @@ def _evaluate(task: Task, motion: Motion) -> Evaluation:
     power_ls = _finite(hydraulics.pump_power(supply_ls, pump_flow, *shaft_of(pump)))
     power_cp = _finite(hydraulics.pump_power(supply_cp, pump_flow, *shaft_of(pump)))
 
-    error = np.linalg.norm(moved["tool"] - reference.point, axis=1)
-    limited = moved["joint_position"], velocity, moved["acceleration"]
-    use = _limit_use(task, *limited)
-    violations = _off_path(motion, time, error, cranes.elbow_cosine(crane, plane, pose.q[2]))
-    violations += _violations(task, motion, time, use, *limited)
+    course = limit_checks.Course(
+        time=looks,
+        error=np.linalg.norm(np.stack(rows["tool"], axis=1) - reference.point, axis=1),
+        cosine=cranes.elbow_cosine(crane, plane, pose.q[2]),
+        position=rows["joint_position"],
+        length=rows["length"],
+        velocity=rows["velocity"],
+        acceleration=rows["acceleration"],
+    )
+    use = limit_checks.used(machine, course)
+    violations = limit_checks.violations(machine, motion, course, use)
     if not (exists or violations):
         violations = ("a linkage does not close, or has no torque arm, somewhere on the way",)
-    largest = [float(values.max()) for values in use]
+    path_error = float(course.error.max())
     arrays = {
-        "time": time, **moved, "tool_target": reference.point, "pressure": pressure, "flow": flow,
+        "time": time, **moved, "tool_target": reference.point.take(regular, axis=0), "pressure": pressure, "flow": flow,
         "pump_flow": pump_flow, "supply_ls": supply_ls, "supply_cp": supply_cp,
         "power_ls": power_ls, "power_cp": power_cp,
         "cumulative_ls": _integral(time, power_ls), "cumulative_cp": _integral(time, power_cp),
@@ -215,12 +213,31 @@ def _evaluate(task: Task, motion: Motion) -> Evaluation:
         task=task,
         motion=motion,
         **arrays,
-        limit_use=LimitUse(*largest),
-        path_error=float(error.max()),
+        limit_use=limit_checks.largest(use),
+        path_error=path_error,
         violations=violations,
         notes=_notes(task, time, velocity, force, pump_flow, supply_ls, pressure, energies),
-        followed=exists and float(error.max()) <= PATH_TOLERANCE,
+        followed=exists and path_error <= PATH_TOLERANCE,
     )
+
+
+def check_measurable(task: Task, kept: int = 0) -> None:
+    """Raise InputError where a task's motions cannot be measured: too long for the free memory, or through the axis.
+
+    Args:
+        task: The task.
+        kept: Number of evaluations that are kept besides.
+    """
+    cranes.check_axis(task)
+    samples, joints = _samples(task), len(task.machine.joints)
+    each = MEASURING[0] + MEASURING[1] * joints + kept * KEPT * joints
+    what = f"measuring task {task.name} at {samples} samples, 2 ms apart over {task.duration:g} s,"
+    resources.check_memory(samples * each, what, "split the task into shorter ones")
+
+
+def _samples(task: Task) -> int:
+    """Number of samples of 2 ms."""
+    return max(2, int(round(task.duration / SAMPLE)) + 1)
 
 
 def judged_cost(evaluation: Evaluation, cost: str) -> float:
@@ -265,8 +282,18 @@ def _integral(time: np.ndarray, power: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def _low_pass(motion: Motion, time: np.ndarray, cutoff: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Zero-phase low pass of the redundant motion, its ends kept (both papers filter their plans at 5 Hz)."""
+def _low_pass(motion: Motion, time: np.ndarray, looks: np.ndarray, cutoff: float) -> tuple[np.ndarray, ...]:
+    """Zero-phase low pass of the redundant motion, its ends kept (both papers filter their plans at 5 Hz).
+
+    Args:
+        motion: The motion.
+        time: Samples that are filtered [s], equally spaced.
+        looks: Times of the answer [s], read off between the samples.
+        cutoff: Of the low pass [Hz].
+
+    Returns:
+        Position [m], velocity [m/s] and acceleration [m/s^2].
+    """
     from scipy.signal import butter, sosfiltfilt
 
     step = time[1] - time[0]
@@ -280,71 +307,8 @@ def _low_pass(motion: Motion, time: np.ndarray, cutoff: float) -> tuple[np.ndarr
     # Keep the end: spread what the filter lost as a velocity bump that vanishes at both ends.
     bump = ramp * (1.0 - ramp)
     smooth = smooth + (c[-1] - c[0] - moved[-1]) / _integral(time, bump)[-1] * bump
-    return c[0] + _integral(time, smooth), smooth, np.gradient(smooth, step)
-
-
-def _limit_use(task: Task, joint_position, velocity, acceleration) -> tuple[np.ndarray, ...]:
-    """Use of position, velocity and acceleration limits at every sample, (samples, joints) each."""
-    machine = task.machine
-    lower = np.array([joint.lower for joint in machine.joints])
-    upper = np.array([joint.upper for joint in machine.joints])
-    position = np.abs(joint_position - 0.5 * (lower + upper)) / (0.5 * (upper - lower))
-    fastest = np.array([cylinder.velocity_limit for cylinder in machine.cylinders])
-    hardest = np.array([cylinder.acceleration_limit for cylinder in machine.cylinders])
-    return position, np.abs(velocity) / fastest, np.abs(acceleration) / hardest
-
-
-def _off_path(motion: Motion, time: np.ndarray, error: np.ndarray, cosine: np.ndarray) -> tuple[str, ...]:
-    """Where the tool is farthest off its path, and whether that is because the arm must stay bent; or nothing."""
-    i = int(error.argmax())
-    if error[i] <= PATH_TOLERANCE:
-        return ()
-    sentence = f"tool off its path by {_number(error[i])} m at {time[i]:.3f} s{_stage(motion, time[i])}"
-    if np.abs(cosine[i]) <= 1.0:
-        pose, angle = (
-            ("straight", np.pi - np.arccos(cosine[i])) if cosine[i] < 0.0 else ("folded", np.arccos(cosine[i]))
-        )
-        least = np.degrees(kinematics.ELBOW_MARGIN)
-        sentence += (
-            f": the arm would be {pose} to within {np.degrees(angle):.1f} deg, and must stay {least:g} deg from it"
-        )
-    return (sentence,)
-
-
-def _violations(task, motion, time, use, joint_position, velocity, acceleration) -> tuple[str, ...]:
-    machine = task.machine
-    found = []
-    limits = [(joint.lower, joint.upper) for joint in machine.joints]
-    speeds = [(-c.velocity_limit, c.velocity_limit) for c in machine.cylinders]
-    pushes = [(-c.acceleration_limit, c.acceleration_limit) for c in machine.cylinders]
-    kinds = (
-        ("position", joint_position, limits, None),
-        ("velocity", velocity, speeds, "m/s"),
-        ("acceleration", acceleration, pushes, "m/s^2"),
-    )
-    for (kind, values, ranges, unit), used in zip(kinds, use, strict=True):
-        for j, name in enumerate(machine.names):
-            i = int(used[:, j].argmax())
-            if used[i, j] > TOLERANCE:
-                value = values[i, j]
-                limit = ranges[j][1] if value > 0.5 * sum(ranges[j]) else ranges[j][0]
-                what = unit or ("m" if name == "extension" else "rad")
-                sentence = (
-                    f"{kind} of {name} is {_number(value)} {what} at {time[i]:.3f} s{_stage(motion, time[i])}, "
-                    f"beyond its limit {limit:.4f} by {_number(abs(value - limit))}"
-                )
-                found.append((used[i, j], sentence))
-    return tuple(sentence for _, sentence in sorted(found, key=lambda item: -item[0]))
-
-
-def _number(value: float) -> str:
-    """Four decimals, or for a value beyond all machines its order of magnitude."""
-    return f"{value:.4f}" if abs(value) < BEYOND else f"{value:.3g}"
-
-
-def _stage(motion: Motion, time: float) -> str:
-    late = motion.step * motion.acceleration.size - motion.duration
-    return f" (stage {min(int((time + late) / motion.step + 1e-9), motion.acceleration.size - 1)})"
+    filtered = c[0] + _integral(time, smooth), smooth, np.gradient(smooth, step)
+    return tuple(np.interp(looks, time, values) for values in filtered)
 
 
 def _notes(task, time, velocity, force, pump_flow, supply, pressure, energies) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """A hydraulic crane as data: geometry, joints, linkages, cylinders, bodies, pump.
 
-Everything here is SI, immutable and free of behaviour beyond trivial derived values. Files become
+Everything here is SI, immutable and free of behaviour beyond checked and trivially derived values. Files become
 these types in `files.py`; the formulas that use them are in `kinematics`, `linkages`, `dynamics` and
 `hydraulics`; `crane.py` puts the two together.
 
@@ -12,6 +12,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
+
+from leanboom import ranges
+from leanboom.errors import InputError
+from leanboom.ranges import checked, hold, listed
 
 
 class Connection(Enum):
@@ -33,6 +37,12 @@ class Geometry:
     outer: float  # L3 (L2 of the 3-DOF paper): tilt joint to tool at zero extension
     slewing: bool  # whether joint `base` exists; without it the tool stays in the plane y = 0
 
+    def __post_init__(self) -> None:
+        hold(
+            self, "geometry", base_x=ranges.LENGTH, base_z=ranges.LENGTH, boom=ranges.POSITIVE_LENGTH,
+            offset=ranges.LENGTH, outer=ranges.POSITIVE_LENGTH,
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True)
 class Joint:
@@ -42,12 +52,22 @@ class Joint:
     lower: float
     upper: float
 
+    def __post_init__(self) -> None:
+        hold(self, f"joints.{self.name}", lower=ranges.NUMBER, upper=ranges.NUMBER)
+        if self.lower >= self.upper:
+            raise InputError(
+                f"joints.{self.name} = [{self.lower:.6g}, {self.upper:.6g}]; the lower end must be below the upper end"
+            )
+
 
 @dataclass(frozen=True, slots=True)
 class RackAndPinion:
     """Constant torque arm [m]: the pinion's pitch radius."""
 
     arm: float
+
+    def __post_init__(self) -> None:
+        hold(self, "linkage", arm=ranges.POSITIVE_LENGTH)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +77,9 @@ class Triangle:
     long: float  # [m]
     short: float  # [m]
     angle: float  # [rad]; q(0) of eq. (30), pi/2 - b11 - b12 of eq. (13)
+
+    def __post_init__(self) -> None:
+        hold(self, "linkage", long=ranges.POSITIVE_LENGTH, short=ranges.POSITIVE_LENGTH, angle=ranges.ANGLE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +95,10 @@ class FourBar:
     a22: float
     b21: float
 
+    def __post_init__(self) -> None:
+        bars = dict.fromkeys(("L21", "L22", "L23", "L24", "L25"), ranges.POSITIVE_LENGTH)
+        hold(self, "linkage", **bars, **dict.fromkeys(("a21", "a22", "b21"), ranges.ANGLE))
+
 
 @dataclass(frozen=True, slots=True)
 class Polynomial:
@@ -79,12 +106,20 @@ class Polynomial:
 
     coefficients: tuple[float, ...]
 
+    def __post_init__(self) -> None:
+        given = listed("linkage.coefficients", self.coefficients, "2 to 12 numbers, highest power first", 2, 12)
+        kept = tuple(checked(f"linkage.coefficients[{i}]", value, ranges.NUMBER) for i, value in enumerate(given))
+        object.__setattr__(self, "coefficients", kept)
+
 
 @dataclass(frozen=True, slots=True)
 class Telescope:
     """Extension cylinder: length = ratio x joint; 1/2 where a chain doubles the stroke (r4 of the paper)."""
 
     ratio: float
+
+    def __post_init__(self) -> None:
+        hold(self, "linkage", ratio=ranges.POSITIVE_NUMBER)
 
 
 Linkage = RackAndPinion | Triangle | FourBar | Polynomial | Telescope
@@ -100,6 +135,9 @@ class Friction:
     steps: tuple[float, float, float, float] | None = None  # q_f1..q_f4 [m], extension joint positions
     joint_velocity: bool = False  # the tanh sees the joint's velocity instead, as eq. (A3) is printed
 
+    def __post_init__(self) -> None:
+        hold(self, "friction", coulomb=ranges.FORCE, sharpness=ranges.SHARPNESS, viscous=ranges.VISCOUS)
+
 
 @dataclass(frozen=True, slots=True)
 class Cylinder:
@@ -114,6 +152,12 @@ class Cylinder:
     friction: Friction
     velocity_limit: float  # [m/s], both ways
     acceleration_limit: float  # [m/s^2], both ways
+
+    def __post_init__(self) -> None:
+        hold(
+            self, f"cylinders.{self.name}", piston_area=ranges.AREA, rod_side_area=ranges.AREA,
+            stroke=ranges.POSITIVE_LENGTH, velocity_limit=ranges.VELOCITY, acceleration_limit=ranges.ACCELERATION,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +176,12 @@ class Body:
     inertia: float  # about the own centre of mass, in the boom plane (vertical axis for `base`) [kg m^2]
     extension_share: float = 0.0  # moves along by this share of the extension joint: 0, 1/2, 1
 
+    def __post_init__(self) -> None:
+        hold(
+            self, f"bodies.{self.name}", mass=ranges.LEAST_MASS, along=ranges.LENGTH, above=ranges.LENGTH,
+            inertia=ranges.INERTIA, extension_share=ranges.SHARE,
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True)
 class MobileValve:
@@ -142,6 +192,12 @@ class MobileValve:
     retract_coefficient: float  # Coeff. of eq. (23): p_A = coefficient x drop + tank while retracting
     regenerative_ratio: float  # K_vPA / K_vBP of eq. (27)
 
+    def __post_init__(self) -> None:
+        hold(
+            self, "valve", compensator_drop=ranges.PRESSURE, extend_coefficient=ranges.COEFFICIENT,
+            retract_coefficient=ranges.COEFFICIENT, regenerative_ratio=ranges.COEFFICIENT,
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True)
 class IndependentMetering:
@@ -149,6 +205,9 @@ class IndependentMetering:
 
     back_pressure: float  # [Pa], planning value (0 in the paper)
     offside_pressure: float  # [Pa], held in the closed-loop simulation (1 MPa in the paper)
+
+    def __post_init__(self) -> None:
+        hold(self, "valve", back_pressure=ranges.PRESSURE, offside_pressure=ranges.PRESSURE)
 
 
 Valve = MobileValve | IndependentMetering
@@ -179,6 +238,14 @@ class Pump:
     tank_pressure: float = 0.0  # [Pa]
     efficiency: float | EfficiencyMap = 1.0  # what becomes of it is in `shaft`
 
+    def __post_init__(self) -> None:
+        hold(
+            self, "pump", constant_pressure=ranges.POSITIVE_PRESSURE, ls_margin=ranges.PRESSURE,
+            max_pressure=ranges.POSITIVE_PRESSURE, max_flow=ranges.FLOW, tank_pressure=ranges.PRESSURE,
+        )  # fmt: skip
+        if not isinstance(self.efficiency, EfficiencyMap):
+            hold(self, "pump", efficiency=ranges.EFFICIENCY)
+
 
 @dataclass(frozen=True, slots=True)
 class Circuit:
@@ -199,6 +266,15 @@ class Circuit:
     counter_pressure: float = 0.3e6  # of the return line above the tank [Pa]
     seal_friction: float = 0.0  # Coulomb, beside planning's friction, as a share of the force at constant pressure
     seal_damping: float = 0.0  # viscous at the velocity limit, beside planning's, as a share of the same force
+
+    def __post_init__(self) -> None:
+        hold(
+            self, "simulation", bulk_modulus=ranges.POSITIVE_PRESSURE, dead_volume=ranges.VOLUME,
+            line_volume=ranges.VOLUME, pump_time_constant=ranges.PUMP_TIME, edge_flow=ranges.FLOW,
+            edge_drop=ranges.POSITIVE_PRESSURE, spool_bandwidth=ranges.FREQUENCY, delay=ranges.DELAY,
+            dead_zone=ranges.DEAD_ZONE, counter_pressure=ranges.PRESSURE, seal_friction=ranges.SHARE,
+            seal_damping=ranges.SHARE,
+        )  # fmt: skip
 
 
 METERING = Circuit(
@@ -238,6 +314,17 @@ class Machine:
     gravity: float = 9.81  # [m/s^2]
     circuit: Circuit = Circuit()
     provenance: tuple[Provenance, ...] = field(default=(), repr=False)
+
+    def __post_init__(self) -> None:
+        hold(
+            self, "", payload_along=ranges.LENGTH, payload_above=ranges.LENGTH, driven_velocity=ranges.VELOCITY,
+            gravity=ranges.GRAVITY,
+        )  # fmt: skip
+        wanted = ("base", "lift", "tilt", "extension") if self.geometry.slewing else ("lift", "tilt", "extension")
+        for key in ("joints", "cylinders"):
+            names = tuple(part.name for part in getattr(self, key))
+            if names != wanted:
+                raise InputError(f"{key} = {', '.join(names) or 'none'}; must be {', '.join(wanted)}, in this order")
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -6,6 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from leanboom import ranges
+from leanboom.errors import InputError
+
+_STEP = ranges.Range("time", above=0)
+_ARRAYS = ("position", "velocity", "acceleration")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
@@ -27,6 +33,19 @@ class Motion:
     log: tuple[str, ...] = ()  # how the result came about, one line a step
     lead: float | None = None  # length of the first interval [s], above 0 and up to `step`; None: `step`
 
+    def __post_init__(self) -> None:
+        ranges.hold(self, "motion", step=_STEP)
+        for name in _ARRAYS:
+            object.__setattr__(self, name, _kept(name, getattr(self, name)))
+        count = self.acceleration.size
+        if count < 1 or self.position.size != count + 1 or self.velocity.size != count + 1:
+            raise InputError(
+                f"motion has {self.position.size} positions, {self.velocity.size} velocities and {count} "
+                "accelerations; must have at least one acceleration, and one more of each of the others"
+            )
+        if self.lead is not None:
+            ranges.hold(self, "motion", lead=ranges.Range("time", above=0, most=self.step))
+
     def __repr__(self) -> str:
         return headed(
             self.status,
@@ -38,6 +57,11 @@ class Motion:
     def duration(self) -> float:
         """How long the motion lasts [s]."""
         return self.step * self.acceleration.size - self._late
+
+    @property
+    def breaks(self) -> np.ndarray:
+        """Times where the stages meet, both ends included [s]."""
+        return np.maximum(self.step * np.arange(self.acceleration.size + 1) - self._late, 0.0)
 
     @property
     def _late(self) -> float:
@@ -64,8 +88,12 @@ def headed(status: str, text: str) -> str:
 
 
 def from_positions(step: float, position: np.ndarray, method: str, cost: str, **fields) -> Motion:
-    """The Motion that starts at rest and passes through given stage positions [m], (stages + 1,)."""
-    position = np.asarray(position, dtype=np.float64)
+    """The Motion that starts at rest and passes through given stage positions [m], (stages + 1,).
+
+    Raises:
+        InputError: If the step is not above 0, or a position no finite number.
+    """
+    step, position = ranges.checked("motion.step", step, _STEP), _kept("position", position)
     velocity = np.zeros_like(position)
     for k in range(position.size - 1):
         velocity[k + 1] = 2.0 * (position[k + 1] - position[k]) / step - velocity[k]
@@ -73,16 +101,38 @@ def from_positions(step: float, position: np.ndarray, method: str, cost: str, **
 
 
 def from_velocities(step: float, start: float, velocity: np.ndarray, method: str, cost: str, **fields) -> Motion:
-    """The Motion with given start [m] and stage velocities [m/s], (stages + 1,)."""
-    velocity = np.asarray(velocity, dtype=np.float64)
+    """The Motion with given start [m] and stage velocities [m/s], (stages + 1,).
+
+    Raises:
+        InputError: If the step is not above 0, or the start or a velocity no finite number.
+    """
+    step, velocity = ranges.checked("motion.step", step, _STEP), _kept("velocity", velocity)
     acceleration = np.diff(velocity) / step
-    position = start + np.concatenate([[0.0], np.cumsum(0.5 * step * (velocity[1:] + velocity[:-1]))])
-    return make(step, position, velocity, acceleration, method, cost, **fields)
+    moved = np.concatenate([[0.0], np.cumsum(0.5 * step * (velocity[1:] + velocity[:-1]))])
+    return Motion(step, start + moved, velocity, acceleration, method, cost, **fields)
 
 
 def make(step, position, velocity, acceleration, method: str, cost: str, **fields) -> Motion:
-    """A Motion whose arrays are float64, contiguous and read-only."""
-    arrays = [np.array(a, dtype=np.float64, order="C") for a in (position, velocity, acceleration)]
-    for array in arrays:
+    """The Motion of stage positions [m], velocities [m/s], both (stages + 1,), and accelerations [m/s^2], (stages,).
+
+    Raises:
+        InputError: If the step is not above 0, a number not finite, or the arrays do not fit together.
+    """
+    return Motion(step, position, velocity, acceleration, method, cost, **fields)
+
+
+def _kept(name: str, values: object) -> np.ndarray:
+    """An array of a motion as it is kept: float64, contiguous, read-only and finite."""
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"motion.{name} = {ranges.shown(values)}; must be an array of numbers") from None
+    if array.ndim != 1:
+        raise InputError(f"motion.{name} has the shape {array.shape}; must have one axis, the stages")
+    if not np.isfinite(array).all():
+        k = int(np.argmin(np.isfinite(array)))
+        raise InputError(f"motion.{name} = {array[k]} at stage {k}; must be finite")
+    if array.flags.writeable:
+        array = array.copy()
         array.setflags(write=False)
-    return Motion(float(step), *arrays, method=method, cost=cost, **fields)
+    return array

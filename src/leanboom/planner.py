@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leanboom import compiling, dp, polish, stages
+from leanboom import compiling, dp, polish, ranges, stages
 from leanboom.errors import InfeasibleError, InputError, LeanboomError
-from leanboom.judge import Evaluation, evaluate, judged_cost
+from leanboom.judge import Evaluation, check_measurable, evaluate, judged_cost
 from leanboom.motion import Motion, headed
 from leanboom.objective import COSTS
 from leanboom.polish import Modes, Polisher
@@ -160,7 +160,7 @@ def run(
             cannot follow the path, whatever the extension.
     """
     cost = pump if cost is None else cost
-    _check(task, pump, cost, method, grid, step)
+    grid, step = _check(task, pump, cost, method, grid, step)
     tell = progress or (lambda text, share: None)
     tell("loading kernels", 0.0)
     with compiling.told(tell):
@@ -196,8 +196,8 @@ def _peak_memory() -> int | None:
     return peak if sys.platform == "darwin" else 1024 * peak
 
 
-def _check(task: Task, pump: str, cost: str, method: str, grid: tuple[int, int], step: float) -> None:
-    """Raise InputError for arguments that cannot be used, all problems at once."""
+def _check(task: Task, pump: str, cost: str, method: str, grid: object, step: object) -> tuple[tuple[int, int], float]:
+    """Grid and step as they are used; InputError for arguments that cannot be, all problems at once."""
     problems = []
     if pump not in PUMPS:
         problems.append(f"pump = {pump}; must be one of {', '.join(PUMPS)}")
@@ -205,13 +205,10 @@ def _check(task: Task, pump: str, cost: str, method: str, grid: tuple[int, int],
         problems.append(f"cost = {cost}; must be one of {', '.join(COSTS)}")
     if method not in METHODS:
         problems.append(f"method = {method}; must be one of {', '.join(METHODS)}")
-    if min(grid) < 3:
-        problems.append(f"grid = {grid[0]}x{grid[1]}; needs at least 3 positions and 3 velocities")
-    if not 1e-3 <= step <= 1.0:
-        problems.append(f"step = {step:g} s; must be from 0.001 s to 1 s")
-    if problems:
-        raise InputError("; ".join(problems))
-    dp.check_memory(int(np.ceil(task.duration / step)), *grid)
+    nodes, length = dp.sizes(grid, step, ranges.STAGE, problems)
+    check_measurable(task, kept=8)
+    dp.check_memory(int(np.ceil(task.duration / length)), *nodes)
+    return nodes, length
 
 
 class _Run:
@@ -430,7 +427,10 @@ class _Run:
     def explain(self, best: Evaluation) -> str:
         """Why there is no feasible motion, and the shortest duration that would have one."""
         self.tell("looking for the shortest feasible duration", 0.9)
-        factor = shortest_duration(self.task, self.grid, self.step)
+        try:
+            factor = shortest_duration(self.task, self.grid, self.step)
+        except InputError:  # a slower task does not fit into memory
+            factor = None
         if factor is None or factor <= 1.0:
             return f"no feasible motion found: {best.status}"
         duration = np.ceil(100.0 * factor * self.task.duration) / 100.0

@@ -18,6 +18,7 @@ from leanboom.errors import InfeasibleError, InputError
 from leanboom.judge import Evaluation, evaluate, judged_cost
 from leanboom.motion import Motion
 from leanboom.objective import COSTS
+from leanboom.ranges import Range
 from leanboom.stages import Problem
 from leanboom.task import Task
 
@@ -27,7 +28,8 @@ SETTLE = 1.0  # time in which a disturbed motion is led back to the planned one 
 REACH = 1e-3  # [m], how far off the feasible extensions a state may be
 STEP = 0.1  # [s]
 COARSE = 2.0  # stages of the coarse program are longer by this
-STEPS = (0.01, 1.0)  # stages that make sense [s]
+SHORTEST = 0.01  # [s], a rest shorter than this is not planned again
+STEPS = Range("time", least=0.01, most=1.0)  # stages that make sense
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +103,7 @@ def replan(
     Raises:
         InputError: For a time that is not on the path, a state off the feasible extensions, or other bad arguments.
     """
-    _check(task, time, position, velocity, pump, grid, step)
+    grid, step = _check(task, time, position, velocity, pump, grid, step, around)
     try:
         rest = continuation.rest(task, time)
         problem = stages.discretise(rest, min(step, 0.5 * rest.duration))
@@ -151,22 +153,32 @@ def track(search: Search, around: Motion | Continuation, since: float) -> Motion
     return motion.from_velocities(problem.step, search.position, speed, "track", search.cost)
 
 
-def _check(task, time, position, velocity, pump, grid, step) -> None:
-    """Raise InputError for arguments that cannot be used, all problems at once."""
+def _check(task, time, position, velocity, pump, grid, step, around) -> tuple[tuple[int, int], float]:
+    """Grid and step as they are used; InputError for arguments that cannot be, all problems at once."""
     problems = []
-    if not 0.0 <= time <= task.duration - STEPS[0]:
-        latest = task.duration - STEPS[0]
+    if not 0.0 <= time <= task.duration - SHORTEST:
+        latest = task.duration - SHORTEST
         problems.append(f"time = {time:g} s; must be from 0 s to {latest:g} s, shortly before the end of the path")
     if not (np.isfinite(position) and np.isfinite(velocity)):
         problems.append(f"state = {position:g} m, {velocity:g} m/s; must be finite")
     if pump not in COSTS:
         problems.append(f"pump = {pump}; must be one of {', '.join(COSTS)}")
-    if min(grid) < 3:
-        problems.append(f"grid = {grid[0]}x{grid[1]}; needs at least 3 positions and 3 velocities")
-    if not STEPS[0] <= step <= STEPS[1]:
-        problems.append(f"step = {step:g} s; must be from {STEPS[0]:g} s to {STEPS[1]:g} s")
-    if problems:
-        raise InputError("; ".join(problems))
+    if around is not None:
+        _check_length(task, around, problems)
+    return dp.sizes(grid, step, STEPS, problems)
+
+
+def _check_length(task: Task, around: Motion | Continuation, problems: list[str]) -> None:
+    """Note a motion that does not end when the task does."""
+    if isinstance(around, Continuation):
+        last = around.since + around.motion.duration
+    else:
+        last = around.duration
+    if not (isinstance(around, Continuation) and around.stopping) and abs(last - task.duration) > 1e-6 * task.duration:
+        problems.append(
+            f"around ends at {last:g} s; must end with the task at {task.duration:g} s: hand in a motion of this task, "
+            "or leave it out"
+        )
 
 
 def _check_position(problem: Problem, time: float, position: float) -> None:

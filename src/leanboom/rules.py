@@ -1,6 +1,6 @@
 """What one value of a file may be: rules that pydantic applies, and that say in words what they allow.
 
-A rule stands in a type, `Annotated[float, Quantity("length", above=0)]`. Values arrive as text and leave as SI floats.
+A rule stands in a type, `Annotated[float, Quantity(ranges.LENGTH)]`. Values arrive as text and leave as SI floats.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from unicodedata import combining, normalize
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-from leanboom.units import KINDS, Kind, expected, is_bare, parse, slip, write
-
-STARTS = ("smallest", "middle", "best")
+from leanboom.paths import RISING, rises
+from leanboom.ranges import Range
+from leanboom.task import START, start_of
+from leanboom.units import KINDS, Kind, expected, is_bare, parse, write
 
 
 def refusal(allowed: str, key: str = "", kind: LiteralString = "refused") -> PydanticCustomError:
@@ -60,42 +61,24 @@ class Rule:
 class Quantity(Rule):
     """A quantity within bounds in SI units."""
 
-    def __init__(
-        self,
-        kind: str,
-        *,
-        above: float | None = None,
-        least: float | None = None,
-        most: float | None = None,
-        any_bare: bool = False,  # bare numbers of any size
-    ):
-        self.kind = what = KINDS[kind]
-        self.any_bare = any_bare
-        self.above, self.least, self.most = above, least, most
-        if least is not None and most is not None:
-            bounds = f"from {write(least, what) if least else 0} to {write(most, what)}"
-        else:
-            given = (("above", above), ("at least", least), ("at most", most))
-            texts = [f"{name} {write(bound, what) if bound else 0}" for name, bound in given if bound is not None]
-            bounds = " and ".join(texts)
-        self.outside = f"must be {bounds}"
-        article = "an" if what.name[0] in "aeiou" else "a"
-        self.allowed = f"must be {article} {what.name}{' ' if bounds else ''}{bounds}, such as {what.example}"
+    def __init__(self, allowed: Range, *, any_bare: bool = False):
+        self.range, self.kind = allowed, KINDS[allowed.name]
+        self.any_bare = any_bare  # bare numbers of any size
+        article = "an" if self.kind.name[0] in "aeiou" else "a"
+        bounds = f" {allowed.bounds}" if allowed.bounds else ""
+        self.allowed = f"must be {article} {self.kind.name}{bounds}, such as {self.kind.example}"
 
     def check(self, value: Any) -> float:
         """The quantity in SI units."""
         assert self.kind is not None
-        text = repr(value) if isinstance(value, float | int) and not isinstance(value, bool) else value
-        number = parse(text, self.kind) if isinstance(text, str) else None
-        if number is None:
-            raise refusal(expected(text if isinstance(text, str) else "", self.kind))
-        if isinstance(value, str) and abs(number) > self.kind.bare and is_bare(value) and not self.any_bare:
+        number = parse(value, self.kind) if isinstance(value, str) and is_bare(value) else None
+        if number is not None and abs(number) > self.kind.bare and not self.any_bare:
             limit, unit = write(self.kind.bare, self.kind), self.kind.unit
             raise refusal(f"must have its unit beyond {limit}, since a bare number is in {unit}")
-        low = (self.above is not None and number <= self.above) or (self.least is not None and number < self.least)
-        if low or (self.most is not None and number > self.most):
-            raise refusal(self.outside)
-        return number
+        try:
+            return self.range.read(value)
+        except ValueError as error:
+            raise refusal(str(error)) from None
 
     def described(self, schema: dict[str, Any]) -> dict[str, Any]:
         """Text with a unit, or a bare number."""
@@ -249,18 +232,15 @@ class Name(Rule):
 class Start(Rule):
     """Where the redundant cylinder starts."""
 
-    allowed = f"must be {', '.join(STARTS)}, or a length of the redundant cylinder such as 0.3 m"
+    allowed = START
     kind = KINDS["length"]
 
     def check(self, value: Any) -> str | float:
         """One of the words, or a length [m]."""
-        if value in STARTS:
-            return value
-        text = value if isinstance(value, str) else repr(value)
-        number = parse(text, KINDS["length"])
-        if number is None or number < 0.0:
-            raise refusal(self.allowed + slip(text, KINDS["length"]))
-        return number
+        try:
+            return start_of(value)
+        except ValueError as error:
+            raise refusal(str(error)) from None
 
 
 def rule_of(metadata: list[Any], annotation: Any) -> Rule | None:
@@ -279,8 +259,8 @@ def rising(values: tuple[float, ...]) -> tuple[float, ...]:
 
 def rising_from_zero(values: tuple[float, ...]) -> tuple[float, ...]:
     """The times, if they begin with 0 and rise."""
-    if values[0] != 0.0 or any(b <= a for a, b in zip(values, values[1:], strict=False)):
-        raise refusal("times must begin with 0 and every one be above the one before it")
+    if not rises(values):
+        raise refusal(RISING)
     return values
 
 

@@ -256,11 +256,13 @@ def read(run: Path) -> tuple[Task, Motion, str]:
     task = replace(files.load_task(run / TASK), smooth=None)
     if abs(time[-1] - task.duration) > TOLERANCE * task.duration:
         raise _damaged(run / TRAJECTORY, f"ends at {time[-1]:g} s; the task ends at {task.duration:g} s")
-    with np.errstate(over="ignore", invalid="ignore"):
-        found = motion.from_velocities(
-            time[-1] / (time.size - 1), position[0], velocity, str(kept["method"]), str(kept["cost"])
-        )
-        apart = np.abs(found.position - position)
+    step, names = time[-1] / (time.size - 1), (str(kept["method"]), str(kept["cost"]))
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = motion.from_velocities(step, position[0], velocity, *names)
+    except InputError as error:
+        raise _damaged(run / TRAJECTORY, str(error)) from None
+    apart = np.abs(found.position - position)
     if not np.all(apart <= APART):
         k = int(np.argmax(~(apart <= APART)))
         raise _damaged(

@@ -1,7 +1,7 @@
 """What machine and task files may hold: pydantic models of their keys, in the order in which they are written.
 
 The models check one value at a time, by the rules of `rules`, and give every refusal the same shape; what several
-values must agree on is in `consistency`.
+values must agree on is in `consistency`. The module is long because it names every key there is.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails
 
+from leanboom import ranges
 from leanboom.rules import (
     Listing,
     Name,
@@ -43,38 +44,39 @@ from leanboom.rules import (
 
 EFFICIENCY_MAP = "(map)"  # pydantic's word for that kind of efficiency; no key of a file
 
-Length = Annotated[float, Quantity("length")]
-Coordinate = Annotated[float, Quantity("length", any_bare=True)]
-PositiveLength = Annotated[float, Quantity("length", above=0)]
-LeastLength = Annotated[float, Quantity("length", least=0)]
-Angle = Annotated[float, Quantity("angle")]
-Area = Annotated[float, Quantity("area", above=0)]
-Volume = Annotated[float, Quantity("volume", above=0)]
-Number = Annotated[float, Quantity("number")]
-PositiveNumber = Annotated[float, Quantity("number", above=0)]
-Coefficient = Annotated[float, Quantity("number", least=0)]
-Share = Annotated[float, Quantity("number", least=0, most=1)]
-DeadZone = Annotated[float, Quantity("number", least=0, most=0.9)]
-Efficiency = Annotated[float, Quantity("number", above=0, most=1)]
-Mass = Annotated[float, Quantity("mass", above=0)]
-Payload = Annotated[float, Quantity("mass", least=0)]
-Inertia = Annotated[float, Quantity("inertia", least=0)]
-Velocity = Annotated[float, Quantity("velocity", above=0)]
-Acceleration = Annotated[float, Quantity("acceleration", above=0)]
-Gravity = Annotated[float, Quantity("acceleration", least=0)]
-Force = Annotated[float, Quantity("force", least=0)]
-Sharpness = Annotated[float, Quantity("sharpness", above=0)]
-Viscous = Annotated[float, Quantity("viscous friction", least=0)]
-Pressure = Annotated[float, Quantity("pressure", least=0)]
-PositivePressure = Annotated[float, Quantity("pressure", above=0)]
-Flow = Annotated[float, Quantity("flow", above=0)]
-Speed = Annotated[float, Quantity("rotational speed", above=0)]
-Displacement = Annotated[float, Quantity("displacement", above=0)]
-Frequency = Annotated[float, Quantity("frequency", above=0)]
-Duration = Annotated[float, Quantity("time", above=0, most=3600)]
-Time = Annotated[float, Quantity("time", least=0, most=3600)]
-PumpTime = Annotated[float, Quantity("time", above=0, most=10)]
-Delay = Annotated[float, Quantity("time", least=0, most=10)]
+Length = Annotated[float, Quantity(ranges.LENGTH)]
+Coordinate = Annotated[float, Quantity(ranges.LENGTH, any_bare=True)]
+PositiveLength = Annotated[float, Quantity(ranges.POSITIVE_LENGTH)]
+LeastLength = Annotated[float, Quantity(ranges.LEAST_LENGTH)]
+Angle = Annotated[float, Quantity(ranges.ANGLE)]
+Area = Annotated[float, Quantity(ranges.AREA)]
+Volume = Annotated[float, Quantity(ranges.VOLUME)]
+Number = Annotated[float, Quantity(ranges.NUMBER)]
+PositiveNumber = Annotated[float, Quantity(ranges.POSITIVE_NUMBER)]
+Coefficient = Annotated[float, Quantity(ranges.COEFFICIENT)]
+Share = Annotated[float, Quantity(ranges.SHARE)]
+DeadZone = Annotated[float, Quantity(ranges.DEAD_ZONE)]
+Efficiency = Annotated[float, Quantity(ranges.EFFICIENCY)]
+Mass = Annotated[float, Quantity(ranges.MASS)]
+Payload = Annotated[float, Quantity(ranges.LEAST_MASS)]
+Inertia = Annotated[float, Quantity(ranges.INERTIA)]
+Velocity = Annotated[float, Quantity(ranges.VELOCITY)]
+Acceleration = Annotated[float, Quantity(ranges.ACCELERATION)]
+Gravity = Annotated[float, Quantity(ranges.GRAVITY)]
+Force = Annotated[float, Quantity(ranges.FORCE)]
+Sharpness = Annotated[float, Quantity(ranges.SHARPNESS)]
+Viscous = Annotated[float, Quantity(ranges.VISCOUS)]
+Pressure = Annotated[float, Quantity(ranges.PRESSURE)]
+PositivePressure = Annotated[float, Quantity(ranges.POSITIVE_PRESSURE)]
+Flow = Annotated[float, Quantity(ranges.FLOW)]
+Speed = Annotated[float, Quantity(ranges.SPEED)]
+Displacement = Annotated[float, Quantity(ranges.DISPLACEMENT)]
+Frequency = Annotated[float, Quantity(ranges.FREQUENCY)]
+Cutoff = Annotated[float, Quantity(ranges.CUTOFF)]
+Duration = Annotated[float, Quantity(ranges.FILE_DURATION)]
+Time = Annotated[float, Quantity(ranges.FILE_TIME)]
+PumpTime = Annotated[float, Quantity(ranges.PUMP_TIME)]
+Delay = Annotated[float, Quantity(ranges.DELAY)]
 Bool = Annotated[bool, Switch()]
 Words = Annotated[str, Text()]
 Identifier = Annotated[str, Name()]
@@ -273,7 +275,7 @@ class CylinderKeys(Section):
     """Area on the piston side, in place of bore; with rod_side_area."""
     rod_side_area: Area | None = None
     """Area on the rod side, at most the piston side's."""
-    stroke: Annotated[float | None, Quantity("length", above=0)] = None
+    stroke: Annotated[float | None, Quantity(ranges.POSITIVE_LENGTH)] = None
     """Must be the change of length over the joint's range, within 2 %; that change if not given."""
     linkage: Annotated[
         RackAndPinionKeys | TriangleKeys | FourBarKeys | PolynomialKeys | TelescopeKeys,
@@ -379,7 +381,7 @@ class PumpKeys(Section):
     efficiency: Annotated[
         Annotated[float, Tag("number")] | Annotated[EfficiencyKeys, Tag(EFFICIENCY_MAP)],
         Discriminator(lambda value: EFFICIENCY_MAP if isinstance(value, dict) else "number"),
-        OrMapping(Quantity("number", above=0, most=1), ", ".join(EfficiencyKeys.model_fields)),
+        OrMapping(Quantity(ranges.EFFICIENCY), ", ".join(EfficiencyKeys.model_fields)),
     ]
     """Of pump and drive together: a number, or a map over speed, displacement and pressure."""
 
@@ -499,5 +501,5 @@ class TaskKeys(Section):
     """What the tool does."""
     start: Annotated[str | float, Start()]
     """Where the redundant cylinder starts: smallest, middle, best, or a length."""
-    smooth: Frequency | None = None
+    smooth: Cutoff | None = None
     """Low-pass cut-off for the redundant motion before it is judged; none if not given."""

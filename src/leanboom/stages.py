@@ -79,7 +79,7 @@ def discretise(task: Task, step: float) -> Problem:
     time = np.linspace(0.0, task.duration, count + 1)
     crane = cranes.build(task)
     plane = cranes.plane(task.machine, sample(task, time))
-    intervals = _feasible_strokes(task, crane, plane, time)
+    intervals = feasible_strokes(task, crane, plane, time)
     lower = np.array([stage[0, 0] for stage in intervals])
     upper = np.array([stage[-1, 1] for stage in intervals])
     return Problem(task, crane, task.duration / count, time, plane, lower, upper, intervals)
@@ -95,7 +95,18 @@ def on_stages(problem: Problem, seed: Motion) -> Motion:
     return motion.from_velocities(problem.step, float(seed.position[0]), velocity, seed.method, seed.cost)
 
 
-def _feasible_strokes(task, crane, plane, time) -> tuple[np.ndarray, ...]:
+def feasible_strokes(task: Task, crane: cranes.Crane, plane: cranes.Plane, time: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Feasible strokes of the redundant cylinder [m] at times of a path, (intervals, 2) each.
+
+    Args:
+        task: The task.
+        crane: Its crane.
+        plane: Its reference at the times.
+        time: The times [s], (times,).
+
+    Raises:
+        InfeasibleError: If the tool cannot be at its point at some time, whatever the extension.
+    """
     low, high = stroke_range(task)
     for samples in (SAMPLES, 16 * SAMPLES):
         grid = np.linspace(low, high, samples)

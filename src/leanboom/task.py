@@ -9,140 +9,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from leanboom import ranges
 from leanboom.errors import InputError
 from leanboom.machine import Machine
+from leanboom.paths import Braking, Lines, Moved, Part, Path, Spline
+from leanboom.units import KINDS, slip
 
-Values = tuple[np.ndarray, np.ndarray, np.ndarray]  # tool position, velocity, acceleration, (samples, 3) each
+__all__ = ["Braking", "Lines", "Moved", "Part", "Path", "Reference", "Spline", "Start", "Task", "sample", "written"]
 
+STARTS = ("smallest", "middle", "best")
+START = f"must be {', '.join(STARTS)}, or a length of the redundant cylinder such as 0.3 m"
+FILTERED = 0.02  # [s], the shortest path with enough samples for a low pass
 
-@dataclass(frozen=True, slots=True)
-class Lines:
-    """Straight segments, each a quintic rest-to-rest motion (Jazar 2010, as both papers use)."""
-
-    points: tuple[tuple[float, float, float], ...]  # [m], one more than durations
-    durations: tuple[float, ...]  # [s]
-
-    @property
-    def duration(self) -> float:
-        """Total time [s]."""
-        return float(sum(self.durations))
-
-    def slower(self, factor: float) -> Lines:
-        """The same path taking `factor` times as long."""
-        return Lines(self.points, tuple(factor * d for d in self.durations))
-
-    def values(self, time: np.ndarray) -> Values:
-        """Tool position [m], velocity [m/s] and acceleration [m/s^2] at times within [0, duration]."""
-        points = np.asarray(self.points, dtype=np.float64)
-        ends = np.cumsum(self.durations)
-        segment = np.minimum(np.searchsorted(ends, time, side="right"), len(ends) - 1)
-        length = np.asarray(self.durations)[segment]
-        s = np.clip((time - (ends[segment] - length)) / length, 0.0, 1.0)
-        step = points[segment + 1] - points[segment]
-        position, velocity, acceleration = (rate[:, None] * step for rate in quintic(s, length))
-        return position + points[segment], velocity, acceleration
-
-
-@dataclass(frozen=True, slots=True)
-class Spline:
-    """Clamped cubic spline through via points: zero velocity at both ends."""
-
-    points: tuple[tuple[float, float, float], ...]  # [m]
-    times: tuple[float, ...]  # [s], increasing from 0
-
-    @property
-    def duration(self) -> float:
-        """Total time [s]."""
-        return float(self.times[-1])
-
-    def slower(self, factor: float) -> Spline:
-        """The same path taking `factor` times as long."""
-        return Spline(self.points, tuple(factor * t for t in self.times))
-
-    def values(self, time: np.ndarray) -> Values:
-        """Tool position [m], velocity [m/s] and acceleration [m/s^2] at times within [0, duration]."""
-        from scipy.interpolate import CubicSpline  # half a second that loading a task does not need
-
-        points = np.asarray(self.points, dtype=np.float64)
-        spline = CubicSpline(np.asarray(self.times), points, bc_type="clamped")
-        return spline(time), spline(time, 1), spline(time, 2)
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """A path between two of its times, on a clock of its own: what is left to do, or what is known of it."""
-
-    path: Path
-    since: float  # [s]
-    until: float  # [s]
-
-    @property
-    def duration(self) -> float:
-        """Total time [s]."""
-        return self.until - self.since
-
-    def slower(self, factor: float) -> Part:
-        """The same part taking `factor` times as long."""
-        return Part(self.path.slower(factor), factor * self.since, factor * self.until)
-
-    def values(self, time: np.ndarray) -> Values:
-        """Tool position [m], velocity [m/s] and acceleration [m/s^2] at times within [0, duration]."""
-        return self.path.values(np.clip(self.since + time, 0.0, self.path.duration))
-
-
-@dataclass(frozen=True, slots=True)
-class Moved:
-    """A path whose target moves on the way: from a time on the tool is led over, smoothly, to a path beside it."""
-
-    path: Path
-    offset: tuple[float, float, float]  # how far the rest of the path moves [m]
-    since: float  # until then the path is as it was [s]
-    over: float  # time that leading over takes, by a quintic [s]
-
-    @property
-    def duration(self) -> float:
-        """Total time [s]."""
-        return self.path.duration
-
-    def slower(self, factor: float) -> Moved:
-        """The same path taking `factor` times as long."""
-        return Moved(self.path.slower(factor), self.offset, factor * self.since, factor * self.over)
-
-    def values(self, time: np.ndarray) -> Values:
-        """Tool position [m], velocity [m/s] and acceleration [m/s^2] at times within [0, duration]."""
-        s = np.clip((time - self.since) / self.over, 0.0, 1.0)
-        offset = np.asarray(self.offset, dtype=np.float64)
-        pairs = zip(self.path.values(time), quintic(s, self.over), strict=True)
-        position, velocity, acceleration = (values + rate[:, None] * offset for values, rate in pairs)
-        return position, velocity, acceleration
-
-
-@dataclass(frozen=True, slots=True)
-class Braking:
-    """A path left early: from a time on the tool slows down evenly along it until it stands."""
-
-    path: Path
-    since: float  # [s]
-    over: float  # time that stopping takes [s]
-
-    @property
-    def duration(self) -> float:
-        """Total time [s]."""
-        return self.over
-
-    def slower(self, factor: float) -> Braking:
-        """The same path taking `factor` times as long."""
-        return Braking(self.path.slower(factor), factor * self.since, factor * self.over)
-
-    def values(self, time: np.ndarray) -> Values:
-        """Tool position [m], velocity [m/s] and acceleration [m/s^2] at times within [0, duration]."""
-        rate = (1.0 - time / self.over)[:, None]
-        reached = self.since + time * (1.0 - 0.5 * time / self.over)
-        position, velocity, acceleration = self.path.values(np.clip(reached, 0.0, self.path.duration))
-        return position, rate * velocity, rate**2 * acceleration - velocity / self.over
-
-
-Path = Lines | Spline | Part | Moved | Braking
+Key = tuple[str | int, ...]  # where a value is in a task file
 Start = str | float  # "smallest" | "middle" | "best" | length of the redundant cylinder [m]
 
 
@@ -158,6 +37,23 @@ class Task:
     smooth: float | None = None  # low-pass cut-off for the judged redundant motion [Hz]; None: none
     source: str = field(default="", repr=False, compare=False)  # the file's text
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.machine, Machine):
+            raise InputError(f"machine = {ranges.shown(self.machine)}; must be a machine: leanboom.load_machine(NAME)")
+        if not isinstance(self.path, Path):
+            raise InputError(f"path = {ranges.shown(self.path)}; must be a path such as leanboom.task.Lines")
+        ranges.hold(self, "", payload=ranges.LEAST_MASS)
+        try:
+            object.__setattr__(self, "start", start_of(self.start))
+        except ValueError as error:
+            raise InputError(f"start = {ranges.shown(self.start)}; {error}") from None
+        if self.smooth is not None:
+            ranges.hold(self, "", smooth=ranges.CUTOFF)
+        if found := faults(self.path, self.machine, self.start, self.smooth):
+            raise InputError(
+                "\n".join(f"{'.'.join(map(str, key))} = {ranges.shown(v)}; {what}" for key, v, what in found)
+            )
+
     @property
     def duration(self) -> float:
         """Time the path takes [s]."""
@@ -171,6 +67,44 @@ class Task:
             f"Task({self.name}: {self.machine.name}, {type(path).__name__.lower()}{points} in {path.duration:g} s, "
             f"payload {self.payload:g} kg, start {start}" + (f", smooth {self.smooth:g} Hz)" if self.smooth else ")")
         )
+
+
+def start_of(start: object) -> Start:
+    """Where the redundant cylinder starts: a word of `STARTS`, or a length [m].
+
+    Args:
+        start: The word, a number in [m] or a text such as "0.3 m".
+
+    Raises:
+        ValueError: It is none of these; the text says what it must be.
+    """
+    if isinstance(start, str) and start in STARTS:
+        return start
+    try:
+        return ranges.LEAST_LENGTH.read(start)
+    except ValueError:
+        raise ValueError(START + (slip(start, KINDS["length"]) if isinstance(start, str) else "")) from None
+
+
+def faults(path: Path | None, machine: Machine, start: Start, smooth: float | None) -> list[tuple[Key, object, str]]:
+    """What does not fit together in a task: keys of a file, their values, and what these must be.
+
+    Args:
+        path: The path; None if it is wrong in itself.
+        machine: The machine.
+        start: The start.
+        smooth: Cut-off of the low pass [Hz]; None: none.
+    """
+    found: list[tuple[Key, object, str]] = []
+    if isinstance(path, Lines | Spline) and not machine.geometry.slewing:
+        flat = f"y must be 0, since machine {machine.name} does not slew"
+        found += [(("path", "points", i), point, flat) for i, point in enumerate(path.points) if abs(point[1]) > 1e-9]
+    longest = machine.redundant.stroke
+    if isinstance(start, float) and start > longest:
+        found.append((("start",), start, f"must be from 0 to {longest:.6g} m, the stroke of the extension cylinder"))
+    if path is not None and smooth is not None and path.duration < FILTERED:
+        found.append((("smooth",), smooth, f"needs a path of at least {FILTERED:g} s"))
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,12 +149,3 @@ def sample(task: Task, time: np.ndarray) -> Reference:
     for array in arrays:
         array.setflags(write=False)
     return Reference(*arrays)
-
-
-def quintic(s: np.ndarray, duration: np.ndarray | float) -> Values:
-    """The quintic from rest to rest, 0 to 1, at shares s of a duration [s]; also its rate and the rate of that."""
-    return (
-        s**3 * (10 - 15 * s + 6 * s**2),
-        30 * s**2 * (1 - s) ** 2 / duration,
-        60 * s * (1 - 3 * s + 2 * s**2) / duration**2,
-    )

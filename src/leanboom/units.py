@@ -80,7 +80,7 @@ _QUANTITY = re.compile(rf"({_NUMBER})\s*(\S.{{0,39}})?")
 _AS_WRITTEN = re.compile(r"[+−–-]?[.,]?\d(?:[\d.,'’_]|\s(?=\d{3}(?!\d)))*")  # numbers of people, of any script
 _UNIT = re.compile(r"%|[A-Za-zµ]+(?:\^-?[0-9])?(?:(?: ?[*/·] ?| )[A-Za-zµ]+(?:\^-?[0-9])?)*")
 _WORD = re.compile(r"[^\W\d]+")
-_LARGEST = 1e15  # anything beyond, in SI units, is a slip of the pen
+LARGEST = 1e15  # anything beyond, in SI units, is a slip of the pen
 
 
 @cache
@@ -135,7 +135,7 @@ def parse(text: str, kind: Kind) -> float | None:
     if factor is None:
         return None
     value = Fraction(match[1]) * factor
-    return float(value) if abs(value) <= _LARGEST else None
+    return float(value) if abs(value) <= LARGEST else None
 
 
 def is_bare(text: str) -> bool:
