@@ -130,6 +130,23 @@ def whole(problem: Problem, cost: str, beside: Motion | None = None, times: tupl
     return _cut(problem, cost, cut.positions, cut.velocities, cut.rows, cut.velocities, corner, cut.bins)
 
 
+def excludes_motion(problem: Problem, start: float | None) -> bool:
+    """Whether it is proven that no motion of the discretised problem keeps all limits, from rest to rest.
+
+    Args:
+        problem: The discretised task.
+        start: Where the redundant cylinder starts [m]; None: anywhere.
+    """
+    cells = whole(problem, "cp")
+    low, high = cells.viable.low[0], cells.viable.high[0]
+    rests = (low <= 0.0) & (high >= 0.0)
+    if start is None:
+        return not bool(np.any(rests))
+    share = cells.share(0, np.array([start]))
+    low, high = cells.viable.within(0, share, share)
+    return not bool(low[0] <= 0.0 <= high[0])
+
+
 def _cut(  # noqa: PLR0913
     problem: Problem, cost: str, positions: int, velocities: np.ndarray, rows: list[np.ndarray], counts: np.ndarray,
     corner: np.ndarray, viable: Viable | int,

@@ -149,7 +149,7 @@ def energy_scale(problem: Problem, cost: str) -> float:
     moving = cranes.move(pose, 0.0, 0.0)
     forces = cranes.forces(pose, moving)
     duration = problem.task.duration
-    speed = 0.1 * crane.machine.redundant.velocity_limit
+    speed = 0.1 * problem.pace
     if cost in ("velocity", "extension"):
         square = sum(v * v for v in moving.velocity) if cost == "velocity" else 0.0
         return float(np.mean(square + speed**2) * duration)
@@ -176,7 +176,7 @@ def slopes(problem: Problem, cost: str) -> tuple[float, float, float, float]:
     c, w, v, a = SLOPES
     return (
         scale * c / (high - low),
-        scale * w / problem.crane.machine.redundant.velocity_limit,
+        scale * w / problem.pace,
         scale * v / fastest,
         scale * a / hardest,
     )
@@ -254,14 +254,29 @@ def solve(problem: Problem, grid: Grid, cost: str, terminal: Terminal | None = N
     w = last[kernels.W_LO] + last[kernels.DW] * np.arange(grid.velocities)
     ends = steep[1] * np.abs(w) if terminal is None else terminal(c[:, None], w[None, :])
     end = np.array(np.broadcast_to(ends, (grid.positions, grid.velocities)), order="C")
-    values = np.empty((problem.stages + 1, grid.positions, grid.velocities), dtype=np.float32)
-    problem_arrays = table.coefficients, table.outside, table.stage, table.cylinder, setting
-    workers = min(stages.threads(), grid.positions * grid.velocities // WORTH_SHARING)
+    return Policy(problem, cost, grid, table, setting, sweep(table, setting, end))
+
+
+def sweep(table: Tables, setting: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Values of all nodes by the backward pass, shared among threads where that pays; the same bits either way.
+
+    Args:
+        table: The physics on all nodes.
+        setting: The kernels' scalars, (kernels.SETTINGS,).
+        end: Values of the last stage [J], (positions, velocities).
+
+    Returns:
+        Cost to go [J], float32, (stages + 1, positions, velocities).
+    """
+    count, (positions, velocities) = table.stage.shape[0], end.shape
+    values = np.empty((count, positions, velocities), dtype=np.float32)
+    arrays = table.coefficients, table.outside, table.stage, table.cylinder, setting
+    workers = min(stages.threads(), positions * velocities // WORTH_SHARING)
     if workers < 2:
-        passes.sweep(*problem_arrays, end, values)
+        passes.sweep(*arrays, end, values)
     else:
-        _sweep_shared(problem_arrays, end, values, workers)
-    return Policy(problem, cost, grid, table, setting, values)
+        _sweep_shared(arrays, end, values, workers)
+    return values
 
 
 def _sweep_shared(problem_arrays: Any, terminal: np.ndarray, values: np.ndarray, workers: int) -> None:

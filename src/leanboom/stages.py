@@ -25,6 +25,8 @@ from leanboom.task import Task, sample
 SAMPLES = 257  # extensions looked at when searching the feasible ones
 HELD = 0.99  # planned motions hold a cylinder within this share of the velocity that counts as driven
 PROMISE = 1e-9  # [m], accuracy of the ends of the feasible extensions
+SLOW = 1e-3  # share of the velocity limit that is always looked at
+BRISK = 6.0  # motions may need this many times the velocity that covers all feasible extensions once, evenly
 _BENT = f"an arm stays {np.degrees(kinematics.ELBOW_MARGIN):g} deg from straight and from folded up"
 
 
@@ -45,6 +47,13 @@ class Problem:
     def stages(self) -> int:
         """Number of stages."""
         return self.time.size - 1
+
+    @property
+    def pace(self) -> float:
+        """Velocity scale of the redundant cylinder [m/s]: its limit, or less where the path leaves time for less."""
+        even = float(self.upper.max() - self.lower.min()) / self.task.duration
+        limit = self.crane.machine.redundant.velocity_limit
+        return min(limit, max(BRISK * even, SLOW * limit))
 
     @property
     def moving(self) -> slice:
@@ -181,11 +190,14 @@ class Grid:
     velocities: int
 
 
-def full_grid(problem: Problem, positions: int, velocities: int) -> Grid:
-    """Nodes over all feasible extensions of each stage and all velocities; zero velocity is a node."""
-    limit = problem.crane.machine.redundant.velocity_limit
+def full_grid(problem: Problem, positions: int, velocities: int, span: float | None = None) -> Grid:
+    """Nodes over all feasible extensions of each stage and velocities up to `span` [m/s], by default the limit.
+
+    Zero velocity is a node.
+    """
+    span = problem.crane.machine.redundant.velocity_limit if span is None else span
     ones = np.ones(problem.stages + 1)
-    return Grid(problem.lower, problem.upper, -limit * ones, limit * ones, positions, velocities | 1)
+    return Grid(problem.lower, problem.upper, -span * ones, span * ones, positions, velocities | 1)
 
 
 def tube_grid(
