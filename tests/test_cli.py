@@ -173,7 +173,7 @@ def test_plan_without_options_uses_the_stated_defaults(calls):
     leanboom("plan", "forwarder-vertical")
     task, settings = calls[0]
     assert task.start == "smallest"
-    defaults = {"pump": "ls", "cost": None, "method": "dp", "grid": (141, 71), "step": 0.05}
+    defaults = {"pump": "ls", "cost": None, "method": "dp", "grid": (101, 51), "step": 0.05, "effort": "default"}
     assert settings == defaults | {"check": False}
 
 

@@ -101,7 +101,7 @@ def plan(
         grid: Position and velocity nodes of the coarse grid.
         step: Length of a stage [s].
         effort: "quick" (one local minimum, no shorter stages), "default" or "thorough" (more of both).
-        warm_start: Motions of the same task, or of one with tighter limits: the plan is never worse than a feasible one.
+        warm_start: Motions of this task or of one with tighter limits; the plan is never worse than a feasible one.
         check: Whether to raise where no feasible motion was found.
 
     Returns:
@@ -141,7 +141,7 @@ def run(
         grid: Position and velocity nodes of the coarse grid.
         step: Length of a stage [s].
         effort: "quick" (one local minimum, no shorter stages), "default" or "thorough" (more of both).
-        warm_start: Motions of the same task, or of one with tighter limits: the plan is never worse than a feasible one.
+        warm_start: Motions of this task or of one with tighter limits; the plan is never worse than a feasible one.
         baseline: Whether to judge the actuator pseudo-inverse as well.
         check: Whether to raise where no feasible motion was found.
         progress: Called with what happens and the share done.

@@ -41,8 +41,12 @@ def plan(
     ] = None,
     grid: Annotated[
         str, typer.Option(metavar="PxV", help="Positions and velocities of the extension on the coarse grid.")
-    ] = "141x71",
+    ] = "101x51",
     step: Annotated[str, typer.Option(metavar="TIME", help="Length of a stage, in seconds.")] = "0.05",
+    effort: Annotated[
+        Literal["quick", "default", "thorough"],
+        typer.Option(help="How many ways to follow the path are looked into, and how closely."),
+    ] = "default",
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Write a run folder: report, trajectory, task, machine and summary."),
@@ -62,8 +66,9 @@ def plan(
 
     with Progress() as tell, runfolder.reserved(out):
         result = planner.run(
-            asked, pump=pump, cost=cost, method=method, grid=nodes, step=seconds, check=False, progress=tell
-        )
+            asked, pump=pump, cost=cost, method=method, grid=nodes, step=seconds, effort=effort, check=False,
+            progress=tell,
+        )  # fmt: skip
         if out is not None:
             tell("writing the run folder", 1.0)
             runfolder.write(result, out, nodes)
@@ -111,7 +116,7 @@ def certify(
     as_json: Json = False,
 ) -> None:
     """Plan a task and prove how far from the optimum the plan can be."""
-    _, stage = settings("141x71", step)
+    _, stage = settings("101x51", step)
     from leanboom import certificate, files, planner, runfolder
 
     limit, least = duration("seconds", seconds), percent("gap", gap)

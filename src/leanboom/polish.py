@@ -36,7 +36,7 @@ FORCE = 1e-5  # scale of the rows that keep a load's sign [1/N]
 FRICTION_STEPS = 4096
 POSITIONS = 65  # nodes of the coefficients' table
 LEAST_ROOM = 1e-6  # [m/s]: a bound on a velocity leaves at least this much on either side
-BARRIER, LAST_BARRIER, ITERATIONS = 1e-5, 2e-9, 300
+BARRIER, LAST_BARRIER, ITERATIONS = 1e-6, 2e-9, 300
 
 
 @dataclass(frozen=True, slots=True, eq=False)

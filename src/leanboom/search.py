@@ -25,13 +25,14 @@ from leanboom.task import Task
 
 Progress = Callable[[str, float], None]
 
-# Half widths of the first tube: of the stroke range, and of the velocities of the coarse grid. Level n is 1 / 2^n as wide.
+# Half widths of the first tube, of the stroke range and of the coarse grid's velocities. Level n is 1 / 2^n as wide.
 WIDTH, SPREAD = 0.03, 0.12
 # Nodes of a tube. With loads velocities count: switches lie where cylinders begin to be driven, a few mm/s apart. The
 # last where the motion follows an end of the feasible extensions that moves.
 TUBE, LOADED_TUBE, RIDING_TUBE = (17, 17), (9, 65), (31, 33)
 FIRST_LEVELS, NEXT_LEVELS, LAST_LEVELS = (0, 1), (0, 1, 2, 3), (0, 1, 2, 3)  # of local minima, the best, finer stages
-LEADING = 1.005  # local minima within this factor of the best are refined further
+LEADING = 1.002  # local minima within this factor of the best are refined further
+PROMISING = 1.0005  # a tube's motion within this factor of the best is polished where loads count
 POLISHABLE = 1.3  # a motion that uses a limit up to this much too far is polished where it is cheaper
 NEAR = 1.05  # a pseudo-inverse of long steps within this factor of the best is made again with short ones
 MOVING, TOUCHING = 1e-3, 1e-4  # a limit that moves [m/s], and a motion on it [m]
@@ -150,15 +151,20 @@ class Search:
             tube = stages.tube_grid(problem, at.position, at.velocity, *widths, *nodes)
             policy = dp.solve(problem, tube, self.cost)
             moved = dp.rollout(policy, dp.best_start(policy) if start is None else start)
-            found = self.polish(problem, moved, start is None) if self.loads else None
-            if found is None:
-                found = self.judge(moved, f"tube of {widths[0]:.4f} m, {widths[1]:.4f} m/s")
-                promising = found.feasible or found.worst_use < POLISHABLE
-                if not self.loads and promising and (chain is None or cheaper(found, chain, self.cost)):
-                    found = better(found, self.polish(problem, moved, start is None), self.cost)
+            found = self.judge(moved, f"tube of {widths[0]:.4f} m, {widths[1]:.4f} m/s")
+            if self.promises(found, chain):
+                found = better(found, self.polish(problem, moved, start is None), self.cost)
             chain = found if chain is None else better(chain, found, self.cost)
         assert chain is not None
         return chain
+
+    def promises(self, found: Evaluation, chain: Evaluation | None) -> bool:
+        """Whether a tube's motion is worth polishing: with loads its switches may be the better ones, if barely."""
+        if not found.feasible and found.worst_use >= POLISHABLE:
+            return False
+        if self.loads:
+            return judged_cost(found, self.cost) <= PROMISING * judged_cost(self.known_best(), self.cost)
+        return chain is None or cheaper(found, chain, self.cost)
 
     def lead(self, problem: Problem, found: list[Evaluation], start: float | None) -> None:
         """Refine the best of some local minima further."""
@@ -182,7 +188,7 @@ class Search:
         return False
 
     def finer_stages(self, start: float | None) -> None:
-        """Refine on stages half and a quarter as long while it pays: switches and moving limits ask for finer control."""
+        """Refine on stages half and a quarter as long while it pays: switches and moving limits ask for it."""
         factor = 2
         while factor <= self.effort.shortest:
             before = self.known_best()

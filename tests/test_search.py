@@ -1,0 +1,132 @@
+"""The search: feasible is feasible whatever the cost, and no plan is beaten by another look at the same task."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from leanboom import cells, dp, motion, planner, search, stages
+from leanboom.errors import InputError
+from leanboom.files import load_task
+from leanboom.judge import judged_cost
+from leanboom.machine import Machine
+from leanboom.task import Lines, Task
+
+CASES = Path(__file__).parent / "cases"
+SAME = 1e-3  # relations between plans hold to this share
+VERTICAL = replace(load_task("forwarder-vertical"), start="middle")
+EDGE = replace(
+    load_task("loader-triangle-small"), start="middle", path=Lines(((2.6, 0.0, 0.5), (3.2, 0.0, 1.1667)), (5.0,))
+)
+COARSE = {"grid": (41, 31), "step": 0.1, "baseline": False}
+
+
+def limits(task: Task, velocity: float = 1.0, acceleration: float = 1.0) -> Task:
+    """The same task with other limits."""
+    cylinders = tuple(
+        replace(c, velocity_limit=velocity * c.velocity_limit, acceleration_limit=acceleration * c.acceleration_limit)
+        for c in task.machine.cylinders
+    )
+    machine: Machine = replace(task.machine, cylinders=cylinders)
+    return replace(task, machine=machine)
+
+
+def energy(task: Task, pump: str, **options) -> float:
+    return planner.run(task, pump=pump, **(COARSE | options)).evaluation.energy(pump)
+
+
+# Feasible is feasible
+
+
+@pytest.mark.parametrize("pump", planner.PUMPS)
+def test_whether_there_is_a_motion_does_not_depend_on_the_pump(pump):
+    plan = planner.run(load_task(CASES / "tight-corner.yaml"), pump=pump, baseline=False)
+    assert plan.evaluation.feasible
+
+
+def test_other_costs_lead_to_a_feasible_motion_where_this_one_does_not():
+    """A search whose own candidates all fail is led to a motion by its constant-pressure cost."""
+    looking = search.Search(VERTICAL, "ls", (41, 31), 0.1)
+    problem = stages.discretise(VERTICAL, 0.1)
+    start = dp.start_position(problem, "middle")
+    assert start is not None
+    velocity = np.zeros(problem.stages + 1)
+    velocity[1] = 5.0
+    looking.judge(motion.from_velocities(problem.step, start, velocity, "dp", "ls"), "a motion far too fast")
+    assert not looking.known_best().feasible
+    looking.span = problem.pace
+    looking.from_other_costs(problem, start)
+    assert looking.known_best().feasible
+
+
+def moved(seconds: float) -> Task:
+    """The vertical path in another time."""
+    assert isinstance(VERTICAL.path, Lines)
+    return replace(VERTICAL, path=Lines(VERTICAL.path.points, (seconds,)))
+
+
+def test_no_motion_is_proven_only_where_there_is_none():
+    for task, proven in ((VERTICAL, False), (moved(0.5), True)):
+        problem = stages.discretise(task, 0.05)
+        for start in (dp.start_position(problem, "middle"), None):
+            assert cells.excludes_motion(problem, start) == proven
+
+
+def test_a_path_far_too_fast_is_proven_to_have_no_motion():
+    status = planner.run(moved(0.5), pump="cp", check=False, grid=(41, 31), baseline=False).motion.status
+    assert status.startswith("no feasible motion (proven): ")
+
+
+# Relations between plans
+
+
+@pytest.mark.parametrize("pump", planner.PUMPS)
+@pytest.mark.parametrize("factor", [3.0, 1000.0])
+def test_limits_that_no_good_motion_comes_near_change_nothing(pump, factor):
+    """Nodes and tubes fit the motion, not the limits: 1000 times wider ones once cost 60 % more."""
+    assert energy(limits(EDGE, factor), pump) <= energy(EDGE, pump) * (1.0 + SAME)
+
+
+@pytest.mark.parametrize("pump", planner.PUMPS)
+def test_a_warm_start_is_never_lost(pump):
+    tight = limits(VERTICAL, acceleration=0.7)
+    narrow = planner.run(tight, pump=pump, **COARSE)
+    wide = planner.run(VERTICAL, pump=pump, warm_start=(narrow.motion,), **COARSE)
+    assert wide.evaluation.energy(pump) <= narrow.evaluation.energy(pump)
+
+
+def test_a_warm_start_of_another_task_is_refused():
+    other = planner.run(EDGE, pump="cp", **COARSE).motion
+    with pytest.raises(InputError, match=r"the motion lasts 5 s, the task forwarder-vertical 6 s"):
+        planner.run(VERTICAL, pump="cp", warm_start=(other,), **COARSE)
+
+
+@pytest.mark.parametrize("pump", planner.PUMPS)
+def test_the_best_start_costs_no_more_than_any_given_one(pump):
+    best = energy(replace(EDGE, start="best"), pump)
+    for start in ("smallest", "middle"):
+        assert best <= energy(replace(EDGE, start=start), pump) * (1.0 + SAME)
+
+
+@pytest.mark.parametrize("pump", planner.PUMPS)
+def test_more_effort_costs_no_more_energy(pump):
+    spent = [energy(VERTICAL, pump, effort=effort) for effort in ("quick", "default", "thorough")]
+    assert spent[1] <= spent[0] * (1.0 + SAME)
+    assert spent[2] <= spent[1] * (1.0 + SAME)
+
+
+def test_an_unknown_effort_names_the_known_ones():
+    with pytest.raises(InputError, match="effort = all; must be one of quick, default, thorough"):
+        planner.plan(VERTICAL, effort="all")
+
+
+def test_the_log_ends_with_the_best_motion_among_its_candidates():
+    """Every candidate's cost stands in the log, and none is lower than the plan's where it was solved."""
+    plan = planner.run(EDGE, pump="ls", **COARSE)
+    solved = [float(line.split(": ")[-1].split(",")[0]) for line in plan.motion.log if line.endswith("solved")]
+    assert len(solved) >= 3
+    assert judged_cost(plan.evaluation, "ls") == pytest.approx(min(solved), rel=1e-5)
+    assert np.all(np.isfinite(solved))
