@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from leanboom import planner, stages
+from leanboom import planner, search, stages
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.files import load_task
 from leanboom.judge import PATH_TOLERANCE, TOLERANCE, Evaluation, evaluate, judged_cost
@@ -271,7 +271,7 @@ def test_golden_numbers(machine):
 @pytest.fixture(scope="module")
 def hurried():
     """The vertical path in a third of its time, planned by the pseudo-inverse: it breaks limits."""
-    fast = planner.slower(VERTICAL, 0.3)
+    fast = search.slower(VERTICAL, 0.3)
     return fast, planner.run(fast, method="sns-actuator", check=False)
 
 

@@ -56,21 +56,23 @@ class Through:
             stage: The stage.
             position, velocity: The state [m], [m/s].
         """
-        policy, n = self.policy, self.policy.problem.stages
-        w = np.empty(n + 1)
-        for half, first, sign in ((policy, stage, 1.0), (self.behind, n - stage, -1.0)):
-            table, setting = half.tables, half.setting
-            c, v, u = np.empty(n + 1), np.empty(n + 1), np.empty(n)
-            passes.rollout(
-                table.coefficients, table.outside, table.stage, table.cylinder, setting, half.values,
-                np.array([position, sign * velocity]), first, c, v, u,
-            )  # fmt: skip
-            if sign > 0.0:
-                w[stage:] = v[stage:]
-            else:
-                w[: stage + 1], start = -v[::-1][: stage + 1], float(c[n])
+        n = self.policy.problem.stages
+        _, after = _from(self.policy, stage, position, velocity)
+        start, before = _from(self.behind, n - stage, position, -velocity)
+        w = np.concatenate([-before[::-1], after[1:]])
         w[0] = w[-1] = 0.0
-        return motion.from_velocities(policy.problem.step, start, w, "dp", policy.cost)
+        return motion.from_velocities(self.policy.problem.step, start, w, "dp", self.policy.cost)
+
+
+def _from(policy: Policy, stage: int, position: float, velocity: float) -> tuple[float, np.ndarray]:
+    """Where a policy ends from a state [m], and its velocities from there on [m/s]."""
+    table, n = policy.tables, policy.problem.stages
+    c, w, u = np.empty(n + 1), np.empty(n + 1), np.empty(n)
+    passes.rollout(
+        table.coefficients, table.outside, table.stage, table.cylinder, policy.setting, policy.values,
+        np.array([position, velocity]), stage, c, w, u,
+    )  # fmt: skip
+    return float(c[n]), w[stage:]
 
 
 def backward_in_time(table: Tables) -> Tables:
