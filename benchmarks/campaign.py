@@ -1,4 +1,4 @@
-"""How far default plans are from the best known ones, on random tasks of random cranes: `python -m benchmarks.campaign`.
+"""How far default plans are from the best known, on random tasks of random cranes: `python -m benchmarks.campaign`.
 
 A task is drawn by its number: a bundled machine with other lengths, limits, masses, margins and thresholds;
 a straight line, several lines or a spline through points reached by random joint positions; a payload from nothing to
