@@ -292,6 +292,32 @@ def test_more_time_is_extrapolated_from_the_levels_so_far(monkeypatch, levels, g
     assert found.gap_percent == (None if gap is None else pytest.approx(gap))
 
 
+@pytest.mark.parametrize(
+    ("seconds", "memory", "times"),
+    [
+        (200.0, 1e9, (1, 1)),
+        (100.0, 1e9, (4, 2)),  # the first level would need 70 s: if it took longer, nothing would be left
+        (200.0, 5e4, (4, 2)),
+        (20.0, 1e9, (4, 2)),
+        (8.0, 1e9, (8, 4)),
+        (1.0, 1e9, None),
+    ],
+)
+def test_cells_are_as_small_as_time_and_memory_allow(monkeypatch, seconds, memory, times):
+    def size(problem, cost, beside, tried):
+        return SimpleNamespace(count=64000 // (tried[0] * tried[1]))
+
+    monkeypatch.setattr(cells, "size", size)
+    monkeypatch.setattr(cells, "memory_of", lambda problem, cut: 1.0 * cut.count)
+    monkeypatch.setattr(certificate, "_memory", lambda: memory)
+    monkeypatch.setattr(budget.time, "perf_counter", lambda: 1.0)
+    monkeypatch.setattr(budget.time, "process_time", lambda: 1.0)
+    proof = proof_after((10, 10, 40.0))
+    proof.best.motion, proof.rate = None, 1e2 / 64000
+    proof.budget = budget.Budget(seconds, 1, 0.5, 0.5)
+    assert proof.in_time() == times
+
+
 def test_the_command_tells_what_more_time_would_bring():
     command = ["certify", "forwarder-vertical", "--start", "middle", "--pump", "cp", "--step", "0.25"]
     done = CliRunner().invoke(app, [*command, "--seconds", "0.01 s"])

@@ -34,6 +34,7 @@ PROMISE = 0.5  # share of a level's gap that may be left with the same slopes on
 HOPELESS = 15.0  # gap [%] at which cells are so large that nothing but smaller ones is worth its time
 SLACK = 2e-3  # share of the energy that a motion may save by using limits to the judge's tolerance
 FINEST = (1, 1)  # how coarse the first level is where there is time
+SURE = 2.0  # times the expected time that must be left for the finest level: what if it does not end?
 GROWING = 0.7  # share of the coarsest level's time that grows with the number of cells, at most
 LONGER = 0.25  # by which share more time than was spent is worth asking for, at least
 EMPTY = 1e-3  # share of the energy below which a bound says nothing
@@ -274,10 +275,13 @@ class _Proof:
         return found
 
     def in_time(self) -> tuple[int, int] | None:
-        """How coarse the finest whole level is that can be expected to end in time; None where none can."""
+        """How coarse the finest whole level is that can be expected to end in time; None where none can.
+
+        On a busy machine a minute is not like the one before: the finest level needs twice the time it should take.
+        """
         for times in (FINEST, *reversed(cells.COARSE[1:])):
             size = cells.size(self.problem, self.pump, self.best.motion, times)
-            takes = GROWING * self.rate * size.count
+            takes = GROWING * self.rate * size.count * (SURE if times == FINEST else 1.0)
             if self.budget.spent + takes <= self.budget.seconds and cells.memory_of(self.problem, size) < _memory():
                 return times
         return None
