@@ -24,7 +24,7 @@ from leanboom import (
     stages,
 )
 from leanboom.cli import app
-from leanboom.machine import Pump
+from leanboom.machine import EfficiencyMap, Pump
 from leanboom.task import Lines, Task
 from slow_bounds import quiet
 
@@ -368,7 +368,8 @@ def test_stages_too_long_for_the_limits_are_named():
 
 def test_an_efficiency_map_is_refused():
     task = load_task("forwarder-vertical")
-    pump: Pump = replace(task.machine.pump, efficiency=object())
+    measured = EfficiencyMap(25.0, (20.0, 30.0), (1e-5, 2e-5), (1e7, 2e7), (((0.8, 0.8),) * 2,) * 2)
+    pump: Pump = replace(task.machine.pump, efficiency=measured)
     task = replace(task, machine=replace(task.machine, pump=pump))
     with pytest.raises(InputError, match="constant efficiency"):
         certify(task, "cp")

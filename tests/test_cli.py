@@ -161,12 +161,12 @@ def test_plan_prints_json_and_nothing_else(calls, planned):
 def test_plan_hands_its_options_on(calls):
     leanboom(
         *"plan forwarder-vertical --pump cp --cost actuator --method dp1 --grid 41x21 --start".split(), "45 cm",
-        "--step", "100 ms",
+        "--step", "100 ms", "--effort", "quick",
     )  # fmt: skip
     task, settings = calls[0]
     assert task.start == 0.45
     chosen = {"pump": "cp", "cost": "actuator", "method": "dp1", "grid": (41, 21), "step": 0.1}
-    assert settings == chosen | {"check": False}
+    assert settings == chosen | {"effort": "quick", "check": False}
 
 
 def test_plan_without_options_uses_the_stated_defaults(calls):
@@ -593,6 +593,8 @@ class Finder:
         if left == 0:
             os.kill(os.getpid(), signal.SIGINT)
 
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever runs the tests may ignore it
 
 import leanboom.__main__ as beginning
 

@@ -142,5 +142,5 @@ def test_what_is_no_run_folder_is_refused(plan, tmp_path, monkeypatch):
     monkeypatch.setattr(report, "page", lambda plan, grid=None: "<!doctype html>\n")
     folder = runfolder.write(plan, tmp_path / "run")
     (folder / "trajectory.csv").write_text("time_s,x_m\n0,1\n1,2\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"trajectory\.csv lacks numbers in time_s, extension_cylinder_m"):
+    with pytest.raises(InputError, match=r"trajectory\.csv: line 2 lacks finite numbers in time_s"):
         runfolder.read(folder)
