@@ -17,6 +17,7 @@ import json
 import math
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -398,6 +399,8 @@ def killed_runs(numbers: Iterable[int], seed: int, method: str = "dp", task: str
         for number in numbers:
             rng = np.random.default_rng((seed, 2, number))
             sent = (signal.SIGKILL, signal.SIGINT)[number % 2]
+            if rng.random() < 0.5:
+                shutil.rmtree(out, ignore_errors=True)  # else the run is to replace it
             said = _stopped(command, out, sent, float(rng.random()) * seconds, number // 2 % 2 == 1)
             tally.counts[f"runs sent {sent.name}"] += 1
             case = f"kill {number}, {sent.name}"
@@ -407,6 +410,8 @@ def killed_runs(numbers: Iterable[int], seed: int, method: str = "dp", task: str
                 tally.counts["folders complete"] += 1
                 with _watched(tally, case, lambda: str(sorted(out.iterdir()))):
                     _complete(out)
+            else:
+                tally.counts["folders absent"] += 1
         _undisturbed(tally, command, out, "the last run")
         left = sorted(path.name for path in Path(folder).iterdir() if path != out)
         if left:
@@ -458,6 +463,7 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it: runs would, too
     parts = (
         ("files", mutated_files, arguments.files, 1000),
         ("plans", mutated_plans, arguments.plans, 20),
