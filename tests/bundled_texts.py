@@ -1,10 +1,13 @@
-"""Texts of bundled files, and files made of texts."""
+"""Texts of bundled files, files made of texts, and what is wrong with them."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 import leanboom
+from leanboom.errors import InputError
 
 PACKAGE = Path(leanboom.__file__).parent
 FORWARDER = (PACKAGE / "machines/forwarder.yaml").read_text()
@@ -17,3 +20,18 @@ def written(folder, text, name="bad.yaml"):
     path = folder / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
+
+
+def edited(text, edits):
+    """The text with replacements that all must apply."""
+    for old, new in edits:
+        assert old in text
+        text = text.replace(old, new, 1)
+    return text
+
+
+def problems(load, path):
+    """What loading a bad file says, without the file's folder."""
+    with pytest.raises(InputError) as caught:
+        load(path)
+    return str(caught.value).replace(f"{path.parent}/", "").split("\n")
