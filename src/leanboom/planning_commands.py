@@ -8,14 +8,25 @@ from typing import Annotated, Literal
 import typer
 
 from leanboom.errors import InputError
-from leanboom.terminal import Json, Progress, Task, bundled, complain, duration, percent, print_json, settings
+from leanboom.terminal import (
+    Json,
+    Progress,
+    Pump,
+    Start,
+    Step,
+    Task,
+    bundled,
+    complain,
+    duration,
+    percent,
+    print_json,
+    settings,
+)
 
 
 def plan(
     task: Task,
-    pump: Annotated[
-        Literal["ls", "cp"], typer.Option(help="Whose energy counts: load-sensing or constant-pressure pump.")
-    ] = "ls",
+    pump: Pump = "ls",
     cost: Annotated[
         str | None,
         typer.Option(
@@ -31,18 +42,11 @@ def plan(
             "sns-actuator-weighted.",
         ),
     ] = "dp",
-    start: Annotated[
-        str | None,
-        typer.Option(
-            metavar="WHERE",
-            help="Where the extension starts: smallest, middle, best, or a length such as '0.45 m'. "
-            "By default what the task says.",
-        ),
-    ] = None,
+    start: Start = None,
     grid: Annotated[
         str, typer.Option(metavar="PxV", help="Positions and velocities of the extension on the coarse grid.")
     ] = "101x51",
-    step: Annotated[str, typer.Option(metavar="TIME", help="Length of a stage, in seconds.")] = "0.05",
+    step: Step = "0.05",
     effort: Annotated[
         Literal["quick", "default", "thorough"],
         typer.Option(help="How many ways to follow the path are looked into, and how closely."),
@@ -97,18 +101,9 @@ def plan(
 
 def certify(
     task: Task,
-    pump: Annotated[
-        Literal["ls", "cp"], typer.Option(help="Whose energy counts: load-sensing or constant-pressure pump.")
-    ] = "ls",
-    start: Annotated[
-        str | None,
-        typer.Option(
-            metavar="WHERE",
-            help="Where the extension starts: smallest, middle, best, or a length such as '0.45 m'. "
-            "By default what the task says.",
-        ),
-    ] = None,
-    step: Annotated[str, typer.Option(metavar="TIME", help="Length of a stage, in seconds.")] = "0.05",
+    pump: Pump = "ls",
+    start: Start = None,
+    step: Step = "0.05",
     seconds: Annotated[
         str, typer.Option(metavar="TIME", help="Processor time for bounding; twice as long by the clock at most.")
     ] = "60 s",

@@ -7,7 +7,7 @@ import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -40,6 +40,16 @@ Task = Annotated[
         autocompletion=bundled("task"),
     ),
 ]
+Pump = Annotated[Literal["ls", "cp"], typer.Option(help="Whose energy counts: load-sensing or constant-pressure pump.")]
+Start = Annotated[
+    str | None,
+    typer.Option(
+        metavar="WHERE",
+        help="Where the extension starts: smallest, middle, best, or a length such as '0.45 m'. "
+        "By default what the task says.",
+    ),
+]
+Step = Annotated[str, typer.Option(metavar="TIME", help="Length of a stage, in seconds.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
 
 _GRID = re.compile(r"([0-9]{1,6})[xX]([0-9]{1,6})")
