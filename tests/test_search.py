@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leanboom import cells, dp, motion, planner, search, stages
+from leanboom import cells, dp, motion, planner, resources, search, stages
 from leanboom.errors import InputError
 from leanboom.files import load_task
 from leanboom.judge import judged_cost
@@ -74,6 +74,26 @@ def test_no_motion_is_proven_only_where_there_is_none():
         problem = stages.discretise(task, 0.05)
         for start in (dp.start_position(problem, "middle"), None):
             assert cells.excludes_motion(problem, start) == proven
+
+
+def test_a_proof_takes_no_more_memory_than_there_is(monkeypatch):
+    """Cells of an hour took 40 GiB: larger ones prove as much here, and where none fit nothing is proven."""
+    problem = stages.discretise(moved(0.5), 0.05)
+    needs = [cells.memory_of(problem, cells.size(problem, "cp", times=times)) for times in ((1, 1), *cells.COARSE)]
+    taken = []
+    whole = cells.whole
+
+    def measured(*arguments, **settings):
+        found = whole(*arguments, **settings)
+        taken.append(8.0 * sum(a.size for a in (*found.active, *found.model)))
+        return found
+
+    monkeypatch.setattr(cells, "whole", measured)
+    for free, proven in ((4.0 * needs[0], True), (0.5 * needs[0], True), (0.5 * min(needs), False)):
+        taken.clear()
+        monkeypatch.setattr(resources, "free_memory", lambda free=free: free)
+        assert cells.excludes_motion(problem, None) == proven
+        assert sum(taken) <= free
 
 
 def test_a_path_far_too_fast_is_proven_to_have_no_motion():

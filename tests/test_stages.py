@@ -115,20 +115,59 @@ def test_every_extension_between_the_ends_keeps_the_joint_ranges(name, share):
         assert np.all((q >= joint.lower - 1e-12) & (q <= joint.upper + 1e-12))
 
 
-def test_a_narrow_range_is_found_by_looking_closer():
-    """Three millimetres of 1.85 m, between two of the first samples."""
+def with_a_narrow_range(seconds):
+    """A task that stands still where extensions from 0.4015 m to 0.4045 m keep the joint ranges."""
     task = TASKS["forwarder-horizontal"]
     crane = PROBLEMS["forwarder-horizontal"].crane
     plane = PROBLEMS["forwarder-horizontal"].plane[:1]
     tilt = [cranes.pose(crane, plane, np.array([c])).q[1][0] for c in (0.4015, 0.4045)]
-    narrow = replace(
-        task, path=Lines((task.path.points[0],) * 2, (1.0,)), machine=without_limits(task.machine, tilt=sorted(tilt))
+    return replace(
+        task,
+        path=Lines((task.path.points[0],) * 2, (seconds,)),
+        machine=without_limits(task.machine, tilt=sorted(tilt)),
     )
+
+
+def test_a_narrow_range_is_found_by_looking_closer():
+    """Three millimetres of 1.85 m, between two of the first samples."""
+    narrow = with_a_narrow_range(1.0)
     grid = np.linspace(0.0, 1.85, stages.SAMPLES)
     assert not np.any((grid > 0.4015) & (grid < 0.4045))
     problem = stages.discretise(narrow, 0.5)
     assert problem.lower == pytest.approx(0.4015, abs=2e-9)
     assert problem.upper == pytest.approx(0.4045, abs=2e-9)
+
+
+def test_looking_closer_takes_no_more_memory_where_a_path_takes_longer(monkeypatch):
+    """All stages at once took 16 GiB for an hour of them."""
+    seen = []
+    margin = cranes.position_margin
+
+    def counted(crane, plane, stroke):
+        found = margin(crane, plane, stroke)
+        seen.append(found.size)
+        return found
+
+    monkeypatch.setattr(cranes, "position_margin", counted)
+    monkeypatch.setattr(stages, "SAMPLES", 17)
+    most = []
+    for seconds in (60.0, 180.0):
+        seen.clear()
+        problem = stages.discretise(with_a_narrow_range(seconds), 0.05)
+        assert problem.lower == pytest.approx(0.4015, abs=2e-9)
+        assert problem.upper == pytest.approx(0.4045, abs=2e-9)
+        most.append(max(seen))
+    assert most[0] == most[1]
+
+
+def test_a_stage_blocked_late_on_a_long_path_is_named():
+    task = replace(
+        hold((7.0, 0.0, 1.6)), path=Lines(((7.0, 0.0, 1.6), (7.0, 0.0, 1.6), (12.0, 0.0, 1.6)), (80.0, 20.0))
+    )
+    with pytest.raises(InfeasibleError) as error:
+        stages.discretise(task, 0.05)
+    found = re.search(r"at (\S+) s \(stage (\d+)\)", str(error.value))
+    assert found and float(found[1]) == pytest.approx(0.05 * int(found[2])) and float(found[1]) > 80.0
 
 
 # No feasible extension

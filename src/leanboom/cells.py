@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leanboom import bounds, cellwise, intervals, kernels, stages, viability
+from leanboom import bounds, cellwise, intervals, kernels, resources, stages, viability
 from leanboom.cellwise import L_DW, L_J, L_W, LATTICE
 from leanboom.motion import Motion
 from leanboom.stages import Problem
@@ -133,11 +133,18 @@ def whole(problem: Problem, cost: str, beside: Motion | None = None, times: tupl
 def excludes_motion(problem: Problem, start: float | None) -> bool:
     """Whether it is proven that no motion of the discretised problem keeps all limits, from rest to rest.
 
+    The cells are the smallest that fit into the free memory; where none do, nothing is proven.
+
     Args:
         problem: The discretised task.
         start: Where the redundant cylinder starts [m]; None: anywhere.
     """
-    cells = whole(problem, "cp")
+    room = resources.USABLE * resources.free_memory()
+    sizes = ((1, 1), *reversed(COARSE))
+    times = next((each for each in sizes if memory_of(problem, size(problem, "cp", times=each)) <= room), None)
+    if times is None:
+        return False
+    cells = whole(problem, "cp", times=times)
     low, high = cells.viable.low[0], cells.viable.high[0]
     rests = (low <= 0.0) & (high >= 0.0)
     if start is None:

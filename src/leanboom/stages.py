@@ -23,6 +23,8 @@ from leanboom.shaft import shaft_of
 from leanboom.task import Task, sample
 
 SAMPLES = 257  # extensions looked at when searching the feasible ones
+CLOSER = 16  # times as many, where none of them is feasible
+BLOCK = 1024  # stages looked at together: a closer look takes 220 kB of memory a stage
 HELD = 0.99  # planned motions hold a cylinder within this share of the velocity that counts as driven
 PROMISE = 1e-9  # [m], accuracy of the ends of the feasible extensions
 SLOW = 1e-3  # share of the velocity limit that is always looked at
@@ -116,35 +118,43 @@ def feasible_strokes(task: Task, crane: cranes.Crane, plane: cranes.Plane, time:
     Raises:
         InfeasibleError: If the tool cannot be at its point at some time, whatever the extension.
     """
+    parts = (slice(first, first + BLOCK) for first in range(0, time.size, BLOCK))
+    return tuple(ends for part in parts for ends in _feasible_strokes(task, crane, plane, time, part))
+
+
+def _feasible_strokes(
+    task: Task, crane: cranes.Crane, plane: cranes.Plane, time: np.ndarray, part: slice
+) -> list[np.ndarray]:
+    """Feasible strokes at a part of the times, as `feasible_strokes`."""
     low, high = stroke_range(task)
-    for samples in (SAMPLES, 16 * SAMPLES):
+    here = plane[part]
+    for samples in (SAMPLES, CLOSER * SAMPLES):
         grid = np.linspace(low, high, samples)
-        inside = cranes.position_margin(crane, plane[:, None], grid[None, :]) >= -1e-12
+        inside = cranes.position_margin(crane, here[:, None], grid[None, :]) >= -1e-12
         if inside.any(axis=1).all():
             break
     else:
-        k = int(np.argmin(inside.any(axis=1)))
+        k = part.start + int(np.argmin(inside.any(axis=1)))
         raise InfeasibleError(_why_unreachable(task, crane, plane, k, time[k], grid))
     # Ends between a feasible and an infeasible sample are bisected, all at once.
     edges = inside[:, 1:] != inside[:, :-1]
     stage, index = np.nonzero(edges)
     good = np.where(inside[stage, index], grid[index], grid[index + 1])
     bad = np.where(inside[stage, index], grid[index + 1], grid[index])
-    here = plane[stage]
+    here = here[stage]
     while np.max(np.abs(good - bad), initial=0.0) > PROMISE:
         middle = 0.5 * (good + bad)
         keeps = cranes.position_margin(crane, here, middle) >= 0.0
         good, bad = np.where(keeps, middle, good), np.where(keeps, bad, middle)
     found = []
-    for k in range(time.size):
-        mine = stage == k
-        ends = list(good[mine])
-        if inside[k, 0]:
+    for k, row in enumerate(inside):
+        ends = list(good[stage == k])
+        if row[0]:
             ends.insert(0, low)
-        if inside[k, -1]:
+        if row[-1]:
             ends.append(high)
         found.append(np.array(ends).reshape(-1, 2))
-    return tuple(found)
+    return found
 
 
 def _why_unreachable(task, crane, plane, k, time, grid) -> str:
