@@ -72,9 +72,7 @@ class Bounds:
     """Planes and floors below the cost to go over cells, and what they say of the start."""
 
     cells: Cells
-    planes: tuple[
-        np.ndarray, ...
-    ]  # level [J], slopes [J/m], [J s/m], floor [J]: (rows, columns, 4) a stage and the end
+    planes: tuple[np.ndarray, ...]  # level [J], slopes [J/m], [J s/m], floor [J]: (rows, columns, 4); the end's, too
     start: np.ndarray  # least cost to go from the start through each cell of stage 0 [J], (rows, columns)
 
     @property
@@ -139,8 +137,7 @@ def excludes_motion(problem: Problem, start: float | None) -> bool:
         problem: The discretised task.
         start: Where the redundant cylinder starts [m]; None: anywhere.
     """
-    room = resources.USABLE * resources.free_memory()
-    sizes = ((1, 1), *reversed(COARSE))
+    room, sizes = resources.USABLE * resources.free_memory(), ((1, 1), *reversed(COARSE))
     times = next((each for each in sizes if memory_of(problem, size(problem, "cp", times=each)) <= room), None)
     if times is None:
         return False
@@ -495,8 +492,7 @@ class _Pool:
             self.pool.submit(
                 bounds.cells, kind, first, last, cells.model[k], cells.lattice[k + 1], cells.rows[k], cells.rows[k + 1],
                 cells.edges[k], cells.edges[k + 1], cells.columns[k], cells.columns[k + 1], cells.fixed[k],
-                cells.cylinder, cells.setting, limit, active, planes, ahead, found[part % len(found)],
-                floors,
+                cells.cylinder, cells.setting, limit, active, planes, ahead, found[part % len(found)], floors,
             )
             for part, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True))
         ]  # fmt: skip
