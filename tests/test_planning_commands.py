@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -219,17 +220,34 @@ def test_no_feasible_motion_exits_with_1(monkeypatch):
     assert result.stderr == "leanboom: the tool is out of reach at 1.00 s (stage 20)\n"
 
 
-def test_an_infeasible_plan_is_shown_and_exits_with_1(monkeypatch, planned):
+@pytest.fixture
+def broken(monkeypatch, planned):
+    """A plan that breaks limits, for the planner's answer: the task's own path, in a fifth of the time."""
     task = planned.task
-    # The task's own path, in a fifth of the time.
     fast = type(task)(task.name, task.machine, type(task.path)(task.path.points, (1.2,)))
     judged = evaluate(fast, motion.from_velocities(0.1, 0.6713, np.zeros(13), "dp", "ls"))
     monkeypatch.setattr(planner, "run", lambda *_, **__: planner.Plan(fast, "ls", judged.motion, judged, None, 0))
+    return judged
+
+
+def test_an_infeasible_plan_is_shown_and_exits_with_1(broken):
     result = leanboom("plan", "forwarder-vertical", "--json")
     assert result.exit_code == 1
-    assert json.loads(result.stdout)["status"] == judged.status != "solved"
-    assert result.stderr == f"leanboom: {judged.status}\n"
+    assert json.loads(result.stdout)["status"] == broken.status != "solved"
+    assert result.stderr == f"leanboom: {broken.status}\n"
     assert "Violated" in leanboom("plan", "forwarder-vertical").stdout
+
+
+def test_an_infeasible_plan_is_driven_without_a_comparison_and_exits_with_1(broken, tmp_path):
+    """It ended with 0, and took "+42015418.2 %" where a jump of the tool had cost the plan nothing."""
+    file = tmp_path / "fast.yaml"
+    file.write_text(files.dump_task(broken.task, "forwarder"), encoding="utf-8")
+    result = leanboom("simulate", str(file), "--out", str(tmp_path / "run"))
+    assert result.exit_code == 1, result.stderr
+    assert result.stderr.endswith(f"leanboom: {broken.status}\n")
+    assert re.search(r"Energy +[0-9.]+ kJ simulated, [0-9.]+ kJ planned\n", result.stdout)
+    page = (tmp_path / "run" / "simulation.html").read_text(encoding="utf-8")
+    assert re.search(r"takes <strong>[0-9.]+ kJ</strong>, beside the [0-9.]+ kJ of the plan", page)
 
 
 def test_ctrl_c_exits_with_130_and_leaves_nothing(monkeypatch, tmp_path):

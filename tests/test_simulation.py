@@ -117,6 +117,7 @@ def test_energies_stand_beside_the_plan(runs):
     for (_, pump), run in runs.items():
         assert run.planned_energy == pytest.approx(run.planned.energy(pump))
         assert 0.8 < run.energy / run.planned_energy < 1.6
+        assert run.change == run.energy / run.planned_energy - 1.0
     for name in MOTIONS:
         assert runs[name, "ls"].energy < runs[name, "cp"].energy
 

@@ -114,13 +114,13 @@ def simulation(console: Console, run: Simulation, out: Path | None) -> None:
     name = shortened(run.task.name, 80)
     say(console, f"{name}: {shortened(run.task.machine.name, 80)}, {PUMPS[run.pump]}, closed loop", "bold")
     console.print()
-    change = f"{100.0 * (run.energy / run.planned_energy - 1.0):+.1f} %" if run.planned_energy > 0.0 else "-"
+    change = "" if run.change is None else f" ({100.0 * run.change:+.1f} %)"
     errors = ", ".join(
         f"{joint} {error:.4f} {'m' if joint == 'extension' else 'rad'}"
         for joint, error in zip(run.task.machine.names, run.joint_error, strict=True)
     )
     facts = (
-        ("Energy", f"{run.energy / 1e3:.2f} kJ simulated, {run.planned_energy / 1e3:.2f} kJ planned ({change})"),
+        ("Energy", f"{run.energy / 1e3:.2f} kJ simulated, {run.planned_energy / 1e3:.2f} kJ planned{change}"),
         ("Method", f"{run.motion.method}, minimising {run.motion.cost}"),
         ("Path accuracy", f"{run.path_accuracy:.3f} m (ISO 9283)"),
         ("Largest joint errors", errors),

@@ -188,5 +188,5 @@ def simulate(
         outcomes.simulation(output(), result, out)
     if not result.solved:
         complain(result.verdict)
-    if not result.complete:
+    if not (result.complete and result.planned.feasible):
         raise typer.Exit(1)

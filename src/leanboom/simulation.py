@@ -30,6 +30,7 @@ from leanboom.valves import Spools
 
 PUMPS = ("ls", "cp")
 SETTLE = 1.0  # [s], the crane is watched after its path has ended
+NEXT_TO_NOTHING = 0.01  # share of a run's energy: a plan of less is not compared with it
 REPORTED = 500  # samples between two reports of progress
 
 Progress = Callable[[str, float], None]
@@ -89,6 +90,16 @@ class Simulation:
     def planned_energy(self) -> float:
         """What the judge says the pump takes [J]."""
         return self.planned.energy(self.pump)
+
+    @property
+    def change(self) -> float | None:
+        """Share by which the pump took more than planned; None where there is nothing to compare.
+
+        That is after a run that ended early, beside a plan that breaks a limit, and beside one of next to no energy.
+        """
+        if not (self.complete and self.planned.feasible and self.planned_energy > NEXT_TO_NOTHING * self.energy):
+            return None
+        return self.energy / self.planned_energy - 1.0
 
     @property
     def balance_error(self) -> float:

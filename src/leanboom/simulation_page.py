@@ -130,10 +130,13 @@ def _lead(run: Simulation) -> str:
     begin = "" if run.complete else f"The run ended early: {escape(run.status)}. What is shown is the part before it. "
     if run.complete and not run.solved:
         begin = f"The plan that is driven here is not solved: {escape(run.verdict)}. "
-    change = run.energy / run.planned_energy - 1.0 if run.planned_energy > 0.0 else 0.0
-    more = (
-        f"{100 * abs(change):.1f} % {'more' if change > 0.0 else 'less'} than" if abs(change) > 5e-4 else "as much as"
-    )
+    change = run.change
+    if change is None:
+        more = "beside"
+    elif abs(change) > 5e-4:
+        more = f"{100 * abs(change):.1f} % {'more' if change > 0.0 else 'less'} than"
+    else:
+        more = "as much as"
     return (
         f"{begin}Driven by simulated pump, valves and controller, the motion takes <strong>{run.energy / 1e3:.2f} kJ"
         f"</strong>, {more} the {run.planned_energy / 1e3:.2f} kJ of the plan."
