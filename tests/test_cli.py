@@ -120,6 +120,15 @@ def test_check_reads_tasks_and_files(tmp_path):
     assert "forwarder-vertical: task forwarder-vertical is right" in result.stdout
 
 
+def test_check_tells_of_a_slow_path_how_fast_it_is(tmp_path):
+    """A tool that moves at less than 5 mm/s read "at most 0.00 m/s"."""
+    file = tmp_path / "slow.yaml"
+    text = files.dump_task(files.load_task("forwarder-vertical"), "forwarder")
+    assert "durations: [6 s]" in text
+    file.write_text(text.replace("[6 s]", "[3600 s]"), encoding="utf-8")
+    assert re.search(r"in 3600 s, at most 0\.00[0-9]*[1-9] m/s", leanboom("check", str(file)).stdout)
+
+
 def test_check_reports_every_problem_of_every_file(tmp_path):
     machine, task = tmp_path / "machine.yaml", tmp_path / "task.yaml"
     text = files.dump_machine(files.load_machine("loader")).replace("bore: 80 mm", "bore: -80 mm")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from leanboom import dp, inspection, limit_checks, resources, stages
+from leanboom.comparison import compare
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.files import load_task
 from leanboom.judge import SAMPLE, check_measurable, evaluate
@@ -234,6 +235,8 @@ def test_memory_of_the_samples_is_checked_before_planning(monkeypatch):
         run(long, pump="cp")
     with pytest.raises(InputError, match=expected):
         evaluate(long, still(long, step=1.0))
+    with pytest.raises(InputError, match=expected):
+        compare(long, methods=["sns-actuator"])  # looked for the start at 360,000 stages first
     check_measurable(VERTICAL, 8)
 
 

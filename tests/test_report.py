@@ -68,6 +68,21 @@ def test_the_page_needs_no_network(page):
     assert len(page.encode()) < 6e6
 
 
+@pytest.mark.parametrize(
+    ("share", "said"),
+    [
+        (0.374, "<strong>37 % less</strong> than the"),
+        (0.0024, "<strong>0.2 % less</strong> than the"),
+        (-0.0024, "<strong>0.2 % more</strong> than the"),
+        (1e-4, "as much as the"),
+    ],
+)
+def test_the_lead_says_how_much_is_saved_however_little(plan, monkeypatch, share, said):
+    """A saving of 0.2 % read "0 % less"."""
+    monkeypatch.setattr(planner.Plan, "saving", lambda self, pump=None: share)
+    assert said in report.page(plan, (11, 7))
+
+
 def test_the_page_is_complete(page):
     assert page.startswith("<!doctype html>") and page.rstrip().endswith("</html>")
     assert re.findall(r"\{\{\w+\}\}", page) == []

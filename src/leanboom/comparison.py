@@ -15,6 +15,7 @@ from typing import Any
 
 from leanboom import jobs, planner, runfolder
 from leanboom.errors import InputError, LeanboomError
+from leanboom.judge import check_measurable
 from leanboom.motion import Motion
 from leanboom.objective import COSTS
 from leanboom.remarks import UNDELIVERABLE
@@ -227,6 +228,7 @@ def compare(
     if not starts:
         raise InputError("start = nothing; must be smallest, middle, best, or lengths [m]")
     wanted = entries(methods, pumps)
+    check_measurable(task)
     tasks = {each: replace(task, start=each) for each in starts}
     first = {each: _start_position(tasks[each]) for each in starts}
     tell = progress or (lambda text, share: None)

@@ -179,9 +179,8 @@ def _lead(plan: Plan) -> str:
     if abs(saving) < 5e-4:
         compared = "as much as the"
     else:
-        compared = (
-            f"<strong>{100 * abs(saving):.0f} % {'less' if saving > 0.0 else 'more'}</strong> than the {other} of the"
-        )
+        share = f"{100 * abs(saving):.{0 if abs(saving) > 0.01 else 1}f} %"
+        compared = f"<strong>{share} {'less' if saving > 0.0 else 'more'}</strong> than the {other} of the"
     return f"{begin}, {compared} method in use today, the pseudo-inverse.{goal}"
 
 

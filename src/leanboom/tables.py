@@ -224,7 +224,7 @@ def checked(console: Console, found: inspection.Checked, known: bool) -> None:
 
 def _path_report(console: Console, task: Task, facts: inspection.PathFacts) -> None:
     low, high = facts.start
-    say(console, f"Path              {facts.length:.2f} m in {task.duration:g} s, at most {facts.fastest:.2f} m/s")
+    say(console, f"Path              {facts.length:.2f} m in {task.duration:g} s, at most {facts.fastest:.3g} m/s")
     say(console, f"Payload           {task.payload:g} kg")
     say(console, f"Start             {_start(task)}; {low:.4f} m to {high:.4f} m of the extension cylinder can be")
     for note in facts.notes:
