@@ -105,7 +105,11 @@ def certify(
     start: Start = None,
     step: Step = "0.05",
     seconds: Annotated[
-        str, typer.Option(metavar="TIME", help="Processor time for bounding; twice as long by the clock at most.")
+        str,
+        typer.Option(
+            metavar="TIME",
+            help="Processor time for bounding; by the clock twice as long at most, but until there is a bound.",
+        ),
     ] = "60 s",
     gap: Annotated[str, typer.Option(metavar="PERCENT", help="Gap at which bounding ends.")] = "0.5",
     as_json: Json = False,
