@@ -129,7 +129,7 @@ def test_no_command_works_for_a_place_it_cannot_write(calls, monkeypatch, tmp_pa
     ):  # fmt: skip
         result = leanboom(*command)
         assert result.exit_code == 2, command
-        assert "x; cannot be written: " in result.stderr
+        assert f"x; cannot be written: {tmp_path / 'file'} is a file, not a folder\n" in result.stderr
     assert calls == []
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 

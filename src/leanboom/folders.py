@@ -149,7 +149,11 @@ def explained(out: Path, what: str = "out", problem: str = "cannot be written") 
     try:
         yield
     except OSError as error:
-        raise InputError(f"{what} = {out}; {problem}: {error.strerror or error}") from None
+        reason = error.strerror or str(error)
+        if isinstance(error, FileExistsError | NotADirectoryError):
+            file = next((path for path in out.parents if path.exists() and not path.is_dir()), None)
+            reason = reason if file is None else f"{file} is a file, not a folder"
+        raise InputError(f"{what} = {out}; {problem}: {reason}") from None
     except (ValueError, RuntimeError) as error:  # a name no file can have, links in a circle
         raise InputError(f"{what} = {str(out)!r}; {problem}: {error}") from None
 
