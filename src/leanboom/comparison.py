@@ -228,7 +228,7 @@ def compare(
     if not starts:
         raise InputError("start = nothing; must be smallest, middle, best, or lengths [m]")
     wanted = entries(methods, pumps)
-    check_measurable(task)
+    check_measurable(task, planner.KEPT)
     tasks = {each: replace(task, start=each) for each in starts}
     first = {each: _start_position(tasks[each]) for each in starts}
     tell = progress or (lambda text, share: None)

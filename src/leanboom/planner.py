@@ -35,6 +35,7 @@ METHODS = {
 }
 PUMPS = ("ls", "cp")
 
+KEPT = 8  # judged motions that a search holds at a time
 GRID = (101, 51)  # positions and velocities of the coarse program: denser ones end no lower on random tasks
 
 
@@ -205,7 +206,7 @@ def _check(
     if effort not in EFFORTS:
         problems.append(f"effort = {effort}; must be one of {', '.join(EFFORTS)}")
     nodes, length = dp.sizes(grid, step, ranges.STAGE, problems)
-    check_measurable(task, kept=8)
+    check_measurable(task, KEPT)
     dp.check_memory(int(np.ceil(task.duration / length)), *nodes)
     return nodes, length
 
