@@ -389,18 +389,20 @@ def killed_runs(numbers: Iterable[int], seed: int, method: str = "dp", task: str
         task: What they plan.
     """
     tally = Tally()
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "run"
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as elsewhere:
+        out, earlier = Path(folder) / "run", Path(elsewhere) / "run"
         command = [sys.executable, "-m", "leanboom", "plan", task, "--method", method, "--out", str(out)]
         command += ["--grid", f"{GRID[0]}x{GRID[1]}", "--step", str(STEP)]
         began = time.perf_counter()
         _undisturbed(tally, command, out, "the first run")
         seconds = time.perf_counter() - began
+        shutil.copytree(out, earlier)
         for number in numbers:
             rng = np.random.default_rng((seed, 2, number))
             sent = (signal.SIGKILL, signal.SIGINT)[number % 2]
+            shutil.rmtree(out, ignore_errors=True)
             if rng.random() < 0.5:
-                shutil.rmtree(out, ignore_errors=True)  # else the run is to replace it
+                shutil.copytree(earlier, out)  # the run is to replace it
             said = _stopped(command, out, sent, float(rng.random()) * seconds, number // 2 % 2 == 1)
             tally.counts[f"runs sent {sent.name}"] += 1
             case = f"kill {number}, {sent.name}"

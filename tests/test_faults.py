@@ -112,10 +112,10 @@ def test_killed_runs_leave_a_whole_folder_or_none_and_the_next_run_nothing_hidde
 
 
 def test_what_a_killed_run_leaves_is_found(monkeypatch, tmp_path):
-    monkeypatch.setattr(faults, "_undisturbed", lambda tally, command, out, case: None)
+    monkeypatch.setattr(faults, "_undisturbed", lambda tally, command, out, case: out.mkdir(exist_ok=True))
 
     def leave(command, out, sent, after, writing):
-        out.mkdir()
+        out.mkdir(exist_ok=True)
         (out / runfolder.SUMMARY).write_text("{")
         out.with_name(".run.leanboom-new-01234567").mkdir()
         return 'Traceback (most recent call last):\n  File "/usr/lib/leanboom/cli.py"\nKeyboardInterrupt'
@@ -127,3 +127,13 @@ def test_what_a_killed_run_leaves_is_found(monkeypatch, tmp_path):
         "run",
         "left beside the folder after an undisturbed run",
     ]
+
+
+def test_half_of_the_killed_runs_are_to_replace_a_folder_whatever_became_of_those_before(monkeypatch):
+    """Once a folder was gone, all later runs began without one."""
+    monkeypatch.setattr(faults, "_undisturbed", lambda tally, command, out, case: out.mkdir(exist_ok=True))
+    began = []
+    monkeypatch.setattr(faults, "_stopped", lambda command, out, *_: began.append(out.exists()) or "")
+    monkeypatch.setattr(faults, "_complete", lambda out: None)
+    assert not faults.killed_runs(range(20), SEED).finds
+    assert 3 <= sum(began[10:]) <= 7
