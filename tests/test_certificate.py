@@ -137,6 +137,20 @@ def test_every_random_motion_costs_more_than_the_bound_step_by_step(solved, rng)
     assert seen >= 5
 
 
+def test_a_motion_that_breaks_limits_at_stages_is_led_to_one_that_keeps_them():
+    """A plan of shorter stages breaks limits at longer ones; `certify` once gave up where tubes found no way inside."""
+    problem = stages.discretise(replace(load_task("loader-triangle-small"), start="middle"), 0.4)
+    start = 0.5 * (problem.lower[0] + problem.upper[0])
+    velocity = 0.02 * np.sin(np.pi * np.arange(problem.stages + 1) / problem.stages)
+    velocity[-1] = 0.0
+    moving = motion.from_velocities(problem.step, start, -velocity, "outside", "ls")
+    seed = incumbent.measure(problem, moving, "ls")
+    assert not seed.keeps_limits
+    best = incumbent.improve(problem, seed, "ls", False)
+    assert best.keeps_limits
+    assert best.motion.position[0] == pytest.approx(start)
+
+
 def test_a_broken_cell_bound_is_caught(solved, rng):
     problem, found = solved
     start = 0.5 * (problem.lower[0] + problem.upper[0])
@@ -362,8 +376,8 @@ def test_a_motion_of_another_start_or_duration_is_refused():
 
 
 def test_stages_too_long_for_the_limits_are_named():
-    with pytest.raises(InfeasibleError, match=r"at the start of a stage of 0.25 s.*a shorter one"):
-        certify(replace(load_task("forwarder-vertical"), start="smallest"), "cp", step=0.25)
+    with pytest.raises(InfeasibleError, match=r"at the start of a stage of 0.5 s.*a shorter one"):
+        certify(replace(load_task("forwarder-vertical"), start="smallest"), "cp", step=0.5)
 
 
 def test_an_efficiency_map_is_refused():

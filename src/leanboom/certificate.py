@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from leanboom import cells, compiling, dp, guide, incumbent, planner, resources, stages
+from leanboom import cells, compiling, dp, guide, incumbent, planner, polish, resources, stages
 from leanboom.budget import Budget
 from leanboom.errors import InfeasibleError, InputError, LeanboomError
 from leanboom.incumbent import Measured
@@ -160,6 +160,7 @@ def certify(
     tell("loading kernels of the bounds", 0.0)
     with compiling.told(tell):
         dp.prepare()
+        polish.prepare()
         cells.prepare()
         guide.prepare()
     budget = Budget(seconds)

@@ -2,7 +2,8 @@
 
 The energy of a motion in the discretised problem is the sum over the stages of step x power at the stage's start, as
 the dynamic program adds it up. The planner's motion is the best by the judge, who integrates every 2 ms; tubes around
-it, as the planner's own, look for a better sum.
+it, as the planner's own, look for a better sum. A motion that breaks a limit at the start of a stage, as one of other
+stages may, is polished there, which keeps all of them.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import dp, hydraulics, stages
+from leanboom import dp, hydraulics, polish, stages
 from leanboom.judge import PATH_TOLERANCE, TOLERANCE
 from leanboom.motion import Motion
+from leanboom.polish import Polisher
 from leanboom.shaft import shaft_of
 from leanboom.stages import Problem
 
@@ -80,9 +82,10 @@ def improve(problem: Problem, seed: Measured, pump: str, free: bool) -> Measured
     Returns:
         The best motion found that keeps the limits; the seed where there is none.
     """
+    polisher = polish.build(problem, pump)
     low, high = stages.stroke_range(problem.task)
     limit = problem.crane.machine.redundant.velocity_limit
-    best = seed
+    best = _keeping(polisher, seed, free)
     for level in range(LEVELS):
         for _ in range(REPEATS):
             share = 0.5**level
@@ -91,7 +94,19 @@ def improve(problem: Problem, seed: Measured, pump: str, free: bool) -> Measured
             policy = dp.solve(problem, stages.tube_grid(problem, at.position, at.velocity, width, spread, *TUBE), pump)
             start = dp.best_start(policy) if free else float(at.position[0])
             found = measure(problem, dp.rollout(policy, start), pump)
+            if best.keeps_limits and found.energy >= best.energy:
+                break
+            found = _keeping(polisher, found, free)
             if not found.keeps_limits or (best.keeps_limits and found.energy >= best.energy):
                 break
             best = found
     return best
+
+
+def _keeping(polisher: Polisher, found: Measured, free: bool) -> Measured:
+    """A motion that keeps the limits, polished where it did not; itself where none is found."""
+    if found.keeps_limits:
+        return found
+    with np.errstate(all="ignore"):  # a motion out of reach has no numbers there
+        polished, _ = polish.solve(polisher, found.motion, polish.modes(polisher, found.motion), free)
+    return found if polished is None else measure(polisher.problem, polished, polisher.cost)
