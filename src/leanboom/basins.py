@@ -34,7 +34,8 @@ _EXCHANGED = (
     (kernels.BACK_OUT, kernels.BACK_IN),
     (kernels.PISTON, kernels.ROD_SIDE),
 )
-APART = 0.05  # motions closer than this share of the widest feasible extensions are one local minimum
+APART = 0.02  # motions closer than this share of the widest feasible extensions are one local minimum
+FLAT = 0.005  # beyond the best by less than this share of its cost a grid cannot tell which motion is the better one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,6 +112,9 @@ def through(policy: Policy, start: float | None) -> Through:
 def local_minima(found: Through, share: float, most: int) -> list[Motion]:
     """Motions that are the best ones around them: the best of all first, then others, best first.
 
+    Where the least cost is flat, the grid's errors are larger than the differences between motions far apart. There
+    motions follow that are far from all others, the farthest first.
+
     Args:
         found: Costs through all nodes.
         share: How much more than the best motion the others may cost, as a share of its cost.
@@ -128,14 +132,22 @@ def local_minima(found: Through, share: float, most: int) -> list[Motion]:
     nodes = stage[:, kernels.C_LO, None] + stage[:, kernels.DC, None] * np.arange(least.shape[1])
     apart = APART * float(np.max(nodes[:, -1] - nodes[:, 0]))
     motions: list[Motion] = []
-    known = np.zeros_like(minimum)
-    for k, i in candidates[order]:
-        if known[k, i]:
-            continue
+    far = np.full_like(nodes, np.inf)  # how far each node is from the nearest motion [m]
+
+    def follow(k: int, i: int) -> None:
         w = stage[k, kernels.W_LO] + stage[k, kernels.DW] * fastest[k, i]
-        made = found.motion(int(k), float(nodes[k, i]), float(w))
+        made = found.motion(k, float(nodes[k, i]), float(w))
         motions.append(made)
-        if len(motions) == most:
+        np.minimum(far, np.abs(nodes - made.position[:, None]), out=far)
+
+    for k, i in candidates[order]:
+        if far[k, i] > apart and len(motions) < most:
+            follow(int(k), int(i))
+    flat = beyond <= FLAT * np.abs(best)
+    while len(motions) < most:
+        k, i = np.unravel_index(int(np.where(flat, far, 0.0).argmax()), far.shape)
+        if far[k, i] <= apart:
             break
-        known |= np.abs(nodes - made.position[:, None]) <= apart
+        flat[k, i] = False  # the best motion through a node may keep away from it at other stages
+        follow(int(k), int(i))
     return motions

@@ -27,10 +27,12 @@ Progress = Callable[[str, float], None]
 
 # Half widths of the first tube, of the stroke range and of the coarse grid's velocities. Level n is 1 / 2^n as wide.
 WIDTH, SPREAD = 0.03, 0.12
-# Nodes of a tube. With loads velocities count: switches lie where cylinders begin to be driven, a few mm/s apart. The
-# last where the motion follows an end of the feasible extensions that moves.
-TUBE, LOADED_TUBE, RIDING_TUBE = (17, 17), (9, 65), (31, 33)
-FIRST_LEVELS, NEXT_LEVELS, LAST_LEVELS = (0, 1), (0, 1, 2, 3), (0, 1, 2, 3)  # of local minima, the best, finer stages
+# Nodes of a tube. With loads velocities count: switches lie where cylinders begin to be driven, a few mm/s apart;
+# narrower tubes do with fewer positions. The last where the motion follows an end of feasible extensions that moves.
+TUBE, LOADED_TUBE, NARROW_TUBE, RIDING_TUBE = (17, 17), (17, 65), (9, 65), (31, 33)
+FIRST_LEVELS, NEXT_LEVELS, LAST_LEVELS = (0,), (0, 2), (1, 2)  # of local minima, the best, finer stages
+LEAST_STAGES = 200  # with loads switches begin and end with stages: a short task has shorter ones
+SAME = 1e-6  # local minima whose costs differ by less than this share are one
 LEADING = 1.002  # local minima within this factor of the best are refined further
 PROMISING = 1.0005  # a tube's motion within this factor of the best is polished where loads count
 POLISHABLE = 1.3  # a motion that uses a limit up to this much too far is polished where it is cheaper
@@ -48,15 +50,20 @@ class Effort:
     """How far the search goes."""
 
     minima: int  # local minima followed at most
+    stages: int  # of all of them together, about: the shorter the task, the more are followed
     share: float  # how much more than the best they may cost on the coarse grid
     leading: int  # of them, refined further at most
     shortest: int  # stages are at most this many times shorter at the end
 
+    def most(self, count: int, loads: bool) -> int:
+        """Local minima to follow on a number of stages; without loads there are few."""
+        return min(self.minima, max(2, self.stages // count) if loads else 2)
+
 
 EFFORTS = {
-    "quick": Effort(1, 0.0, 1, 1),
-    "default": Effort(4, 0.02, 2, 4),
-    "thorough": Effort(12, 0.05, 4, 4),
+    "quick": Effort(1, 0, 0.0, 1, 1),
+    "default": Effort(12, 1200, 0.02, 2, 4),
+    "thorough": Effort(24, 4800, 0.05, 4, 4),
 }
 
 
@@ -67,11 +74,13 @@ class Search:
         self, task: Task, cost: str, grid: tuple[int, int], step: float, effort: Effort = EFFORTS["default"],
         tell: Progress = lambda text, share: None,
     ):  # fmt: skip
-        self.task, self.cost, self.grid, self.step, self.effort, self.tell = task, cost, grid, step, effort, tell
+        self.task, self.cost, self.grid, self.effort, self.tell = task, cost, grid, effort, tell
         self.began = time.perf_counter()
         self.log: list[str] = []
         self.best: Evaluation | None = None
         self.loads = cost in ("ls", "actuator")
+        self.short = self.loads and task.duration < LEAST_STAGES * step
+        self.step = task.duration / LEAST_STAGES if self.short else step
         self.span = task.machine.redundant.velocity_limit  # velocities of the coarse grid reach this far [m/s]
         self._polishers: dict[int, Polisher] = {}  # by number of stages
         self._polished: list[Modes] = []
@@ -119,7 +128,8 @@ class Search:
             policy = dp.solve(problem, grid, self.cost)
             if self.effort.minima > 1:
                 self.tell("local minima", 0.2)
-                minima = basins.local_minima(basins.through(policy, start), self.effort.share, self.effort.minima)
+                most = self.effort.most(problem.stages, self.loads)
+                minima = basins.local_minima(basins.through(policy, start), self.effort.share, most)
             else:
                 minima = [dp.rollout(policy, dp.best_start(policy) if start is None else start)]
             fastest = max(float(np.abs(each.velocity).max()) for each in minima)
@@ -147,8 +157,7 @@ class Search:
             at = stages.on_stages(problem, seed if chain is None else chain.motion)
             half = 0.5**level
             widths = half * WIDTH * (high - low), half * SPREAD * self.span
-            nodes = RIDING_TUBE if self.rides_on_a_limit(problem) else LOADED_TUBE if self.loads else TUBE
-            tube = stages.tube_grid(problem, at.position, at.velocity, *widths, *nodes)
+            tube = stages.tube_grid(problem, at.position, at.velocity, *widths, *self.nodes(problem, level))
             policy = dp.solve(problem, tube, self.cost)
             moved = dp.rollout(policy, dp.best_start(policy) if start is None else start)
             found = self.judge(moved, f"tube of {widths[0]:.4f} m, {widths[1]:.4f} m/s")
@@ -158,22 +167,42 @@ class Search:
         assert chain is not None
         return chain
 
+    def nodes(self, problem: Problem, level: int) -> tuple[int, int]:
+        """Positions and velocities of a tube."""
+        if self.rides_on_a_limit(problem):
+            return RIDING_TUBE
+        if not self.loads:
+            return TUBE
+        return NARROW_TUBE if level else LOADED_TUBE
+
     def promises(self, found: Evaluation, chain: Evaluation | None) -> bool:
-        """Whether a tube's motion is worth polishing: with loads its switches may be the better ones, if barely."""
+        """Whether a tube's motion is worth polishing: the first around a local minimum, and what may be better.
+
+        With loads its switches may be the better ones where it costs a little more.
+        """
         if not found.feasible and found.worst_use >= POLISHABLE:
             return False
-        if self.loads:
+        if self.loads and chain is not None:
             return judged_cost(found, self.cost) <= PROMISING * judged_cost(self.known_best(), self.cost)
         return chain is None or cheaper(found, chain, self.cost)
 
     def lead(self, problem: Problem, found: list[Evaluation], start: float | None) -> None:
-        """Refine the best of some local minima further."""
+        """Refine the best of some local minima further.
+
+        Without loads the polish of a motion is a local minimum already, unless a limit moves with it.
+        """
         best = self.known_best()
+        if not self.loads and best.feasible and not self.rides_on_a_limit(problem):
+            return
         near = [each for each in found if judged_cost(each, self.cost) <= LEADING * judged_cost(best, self.cost)]
-        near = [each for each in near if each.feasible == best.feasible]
+        near = [each for each in near if each.feasible == best.feasible] or [best]
         near.sort(key=lambda each: judged_cost(each, self.cost))
-        levels = NEXT_LEVELS if self.loads else NEXT_LEVELS[2:3]
-        for each in near[: self.effort.leading] or [best]:
+        leaders = near[:1]
+        for each in near[1:]:
+            if gains(judged_cost(each, self.cost), judged_cost(leaders[-1], self.cost), SAME):
+                leaders.append(each)
+        levels = NEXT_LEVELS if self.loads else NEXT_LEVELS[1:]
+        for each in leaders[: self.effort.leading]:
             self.descend(problem, each.motion, start, levels)
 
     def rides_on_a_limit(self, problem: Problem) -> bool:
@@ -188,7 +217,10 @@ class Search:
         return False
 
     def finer_stages(self, start: float | None) -> None:
-        """Refine on stages half and a quarter as long while it pays: switches and moving limits ask for it."""
+        """Refine on stages half and a quarter as long: switches and moving limits ask for it.
+
+        The second halving is for tasks of few stages with loads, and where a moving limit made the first one pay.
+        """
         factor = 2
         while factor <= self.effort.shortest:
             before = self.known_best()
@@ -198,9 +230,9 @@ class Search:
             if self.loads:
                 self.descend(problem, self.known_best().motion, start, LAST_LEVELS)
             elif self.rides_on_a_limit(problem):
-                self.descend(problem, self.known_best().motion, start, LAST_LEVELS[2:])
+                self.descend(problem, self.known_best().motion, start, LAST_LEVELS[1:])
             gained = gains(judged_cost(before, self.cost), judged_cost(self.known_best(), self.cost), FINER)
-            if before.feasible and not (gained and self.rides_on_a_limit(problem)):
+            if before.feasible and not self.short and not (gained and self.rides_on_a_limit(problem)):
                 break
             factor *= 2
 
