@@ -149,7 +149,7 @@ def test_progress_is_told_in_rising_order():
 def test_a_path_out_of_reach_says_where_when_and_by_how_much():
     task = replace(VERTICAL, path=Lines(((5.5, 0.0, 2.0), (12.0, 0.0, 2.0)), (6.0,)))
     with pytest.raises(InfeasibleError) as error:
-        planner.plan(task, grid=(31, 21), step=0.1)
+        planner.plan(task, "cp", grid=(31, 21), step=0.1)
     outer = np.hypot(2.13 + 3.70, 0.376)
     reach = np.sqrt(3.504**2 + outer**2 + 2.0 * 3.504 * outer * np.cos(np.radians(3.0)))  # an arm stays 3 deg bent
     k = next(k for k in range(61) if np.hypot(radius_at(task, 0.1 * k) + 0.208, 2.0 - 1.605) > reach)
