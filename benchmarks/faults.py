@@ -369,9 +369,10 @@ def _plan(tally: Tally, task: lb.Task, pump: str, other: str) -> None:
             _require(near, f"{method}, {pump}: another energy when judged again")
         plans.append(plan)
     ours, theirs = plans
-    if not theirs.solved:
+    if not theirs.evaluation.feasible:
         return
-    _require(ours.solved, f"{pump}: {other} is solved, dp is not: {ours.status}")
+    # What a pump can deliver is told of a plan and is no limit of the search.
+    _require(ours.evaluation.feasible, f"{pump}: {other} keeps all limits, dp does not: {ours.status}")
     energy, least = ours.evaluation.energy(pump), theirs.evaluation.energy(pump)
     _require(energy <= least + AHEAD * max(abs(least), 1.0), f"{pump}: dp {energy:.2f} J, {other} {least:.2f} J")
 

@@ -452,3 +452,13 @@ def test_a_file_name_without_letters_needs_a_name_inside(tmp_path, file):
     (tmp_path / file).write_text(text.replace("name: forwarder-vertical\n", ""), encoding="utf-8")
     with pytest.raises(InputError, match=r"name is missing, and the file's name has no letter or digit"):
         load_task(tmp_path / file)
+
+
+def test_a_key_without_a_value_is_as_good_as_absent(tmp_path):
+    for nothing in ("", "~", "null", "\u2028"):
+        path = tmp_path / "machine.yaml"
+        path.write_text(FORWARDER.replace("dead_volume: 1 l ", f"dead_volume: {nothing}\n#"), encoding="utf-8")
+        loaded = load_machine(path)
+        assert all(entry.key != "simulation.dead_volume" for entry in loaded.provenance)
+        path.write_text(dump_machine(loaded), encoding="utf-8")
+        assert load_machine(path) == loaded

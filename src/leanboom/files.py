@@ -275,7 +275,7 @@ def _provenance(source: Source) -> tuple[Provenance, ...]:
     return tuple(
         Provenance(dotted(key), shown(source.value(key)), *status)
         for key, status in source.statuses().items()
-        if key[-1] not in _STRUCTURE
+        if key[-1] not in _STRUCTURE and source.value(key) not in (None, "")  # nothing written: the default holds
     )
 
 
