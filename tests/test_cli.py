@@ -295,6 +295,16 @@ def test_ctrl_c_during_work_is_an_exception_and_work_can_be_tidied_up():
         signal.signal(signal.SIGINT, before)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX systems")
+def test_a_request_to_end_is_minded_as_ctrl_c_is(monkeypatch, tmp_path):
+    """It killed the process on the spot and left hidden folders and workers behind."""
+    monkeypatch.setattr(planner, "run", lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM))
+    result = leanboom("plan", "forwarder-vertical", "--out", str(tmp_path / "plan"))
+    assert (result.exit_code, result.stderr) == (143, "leanboom: ended on request\n")
+    assert list(tmp_path.iterdir()) == []
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
 @pytest.mark.parametrize(
     ("target", "arguments"),
     [

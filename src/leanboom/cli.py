@@ -1,8 +1,8 @@
 """The command line: `plan`, `certify`, `simulate`, `compare`, `reproduce`, `new`, `check`, `machines`, `tasks`.
 
 Results go to standard output, for people as tables and with `--json` as one object and nothing else; progress and
-problems go to standard error. Exit codes: 0 done, 1 no feasible motion, 2 bad input, 130 interrupted. Whatever a
-command needs is imported when it runs, so that help comes at once.
+problems go to standard error. Exit codes: 0 done, 1 no feasible motion, 2 bad input, 130 interrupted, 143 ended on
+request. Whatever a command needs is imported when it runs, so that help comes at once.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from leanboom.errors import LeanboomError
 from leanboom.file_commands import check, machines, new, tasks
 from leanboom.planning_commands import certify, plan, simulate
 from leanboom.study_commands import compare, reproduce
-from leanboom.terminal import complain
+from leanboom.terminal import Terminated, complain
 
-INTERRUPTED = 130  # exit code of a process ended by Ctrl-C
+INTERRUPTED, TERMINATED = 130, 143  # exit codes of a process ended by Ctrl-C, and by a request to end
 
 
 class _Guarded(TyperGroup):
@@ -46,6 +46,9 @@ def _refusals() -> Iterator[None]:
     except LeanboomError as error:
         complain(error)
         raise typer.Exit(error.exit_code) from None
+    except Terminated:
+        complain("ended on request")
+        raise typer.Exit(TERMINATED) from None
     except KeyboardInterrupt:
         complain("interrupted")
         raise typer.Exit(INTERRUPTED) from None

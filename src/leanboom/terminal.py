@@ -7,7 +7,7 @@ import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
@@ -116,11 +116,20 @@ def _say(text: str) -> None:
         typer.echo(f"leanboom: {text}", err=True)
 
 
+class Terminated(KeyboardInterrupt):
+    """A process is asked to end, as by `timeout` or by a container that stops: the same as Ctrl-C."""
+
+
+def _terminate(*_: object) -> NoReturn:
+    raise Terminated
+
+
 class Progress:
     """What a command does at the moment, on standard error.
 
     A terminal gets a bar. Elsewhere a line now and then tells of a beginning that takes long, such as the first
-    compilation, or each step has a line. Meanwhile Ctrl-C raises KeyboardInterrupt, so that work is tidied up.
+    compilation, or each step has a line. Meanwhile Ctrl-C raises KeyboardInterrupt, and a request to
+    end `Terminated`, so that work is tidied up.
     """
 
     def __init__(self, steps: bool = False) -> None:
@@ -133,6 +142,9 @@ class Progress:
         self._handler = signal.getsignal(signal.SIGINT)
         if callable(self._handler):  # else it is ignored, or not Python's
             signal.signal(signal.SIGINT, signal.default_int_handler)
+        self._ended_at_once = signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+        if self._ended_at_once:
+            signal.signal(signal.SIGTERM, _terminate)
         if sys.stderr.isatty():
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -173,6 +185,8 @@ class Progress:
             self._bar.stop()
         if callable(self._handler):
             signal.signal(signal.SIGINT, self._handler)
+        if self._ended_at_once:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
     def _quiet(self) -> None:
         if self._over is not None:
