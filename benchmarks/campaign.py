@@ -4,10 +4,10 @@ A task is drawn by its number: a bundled machine with other lengths, limits, mas
 a straight line, several lines or a spline through points reached by random joint positions; a payload from nothing to
 about capacity; a start. Tasks without a motion that a coarse program finds are left out.
 
-Each is planned with default settings and looked at again: on other grids, with half the step, with `thorough` effort,
-by the other methods, and through relations that must hold between plans. Every motion found on the way that is
-feasible for the task itself counts as known. Printed are the shares by which default plans are dearer than the best
-known motion, how often a relation is broken, and the worst numbers, by which a task can be drawn again.
+Each is planned with default settings and looked at again: on other grids, with half the step, with `thorough` effort
+if asked for, by the other methods, and through relations that must hold between plans. Every motion found on the way
+that is feasible for the task itself counts as known. Printed are the shares by which default plans are dearer than the
+best known motion, how often a relation is broken, and the worst numbers, by which a task can be drawn again.
 """
 
 from __future__ import annotations
@@ -31,7 +31,6 @@ LOOKS = {
     "grid 201x101": {"grid": (201, 101)},
     "grid 71x35": {"grid": (71, 35)},
     "half the step": {"step": 0.025},
-    "thorough": {"effort": "thorough"},
 }
 SAME = 1e-3  # relations hold to this share
 
@@ -142,10 +141,12 @@ def main() -> None:
     parser.add_argument("--tasks", type=int, default=300)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--pumps", default="ls,cp")
+    parser.add_argument("--proof", type=float, default=0.0, help="seconds of `thorough` for a proof; 0: without")
     parser.add_argument("--direct", action="store_true", help="also collocation and shooting (minutes a task)")
     arguments = parser.parse_args()
     dp.prepare()
     began, done, number = time.perf_counter(), 0, arguments.first
+    gaps: dict[str, list[float]] = {}
     lost: dict[str, list[tuple[float, str]]] = {pump: [] for pump in arguments.pumps.split(",")}
     broken: dict[str, list[tuple[float, str]]] = {}
     while done < arguments.tasks:
@@ -158,6 +159,10 @@ def main() -> None:
             energy = np.inf if ours is None else ours.evaluation.energy(pump)
             best, winner = energy, "default"
             looks = {name: planned(task, pump, **options) for name, options in LOOKS.items()}
+            if arguments.proof:
+                looks["thorough"] = proven = planned(task, pump, effort="thorough", seconds=arguments.proof)
+                if proven is not None and proven.certificate is not None:
+                    gaps.setdefault(pump, []).append(proven.certificate.gap_percent)
             if task.start != "best":
                 looks |= {m: planned(task, pump, method=m) for m in METHODS + (DIRECT if arguments.direct else ())}
             looks["narrow limits"] = planned(limits(task, acceleration=0.7), pump)
@@ -183,6 +188,12 @@ def main() -> None:
         )
         for share, name in sorted(losses, reverse=True)[:5]:
             print(f"   {100 * share:+.3f} %  {name}")
+    for pump, found in gaps.items():
+        enough = np.mean(np.array(found) <= planner.PROVEN[pump])
+        print(
+            f"{pump}: proven gaps of {len(found)} plans: {100 * enough:.0f} % at most {planner.PROVEN[pump]} %; "
+            f"50 %, 90 %, 100 % within " + ", ".join(f"{np.quantile(found, q):.2f} %" for q in (0.5, 0.9, 1.0))
+        )
     for name, rows in broken.items():
         worst = max(rows)
         print(

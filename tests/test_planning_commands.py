@@ -55,12 +55,12 @@ def test_plan_prints_json_and_nothing_else(calls, planned):
 def test_plan_hands_its_options_on(calls):
     leanboom(
         *"plan forwarder-vertical --pump cp --cost actuator --method dp1 --grid 41x21 --start".split(), "45 cm",
-        "--step", "100 ms", "--effort", "quick",
+        "--step", "100 ms", "--effort", "quick", "--seconds", "2 min", "--gap", "3 %",
     )  # fmt: skip
     task, settings = calls[0]
     assert task.start == 0.45
     chosen = {"pump": "cp", "cost": "actuator", "method": "dp1", "grid": (41, 21), "step": 0.1}
-    assert settings == chosen | {"effort": "quick", "check": False}
+    assert settings == chosen | {"effort": "quick", "seconds": 120.0, "gap": 3.0, "check": False}
 
 
 def test_plan_without_options_uses_the_stated_defaults(calls):
@@ -68,7 +68,7 @@ def test_plan_without_options_uses_the_stated_defaults(calls):
     task, settings = calls[0]
     assert task.start == "smallest"
     defaults = {"pump": "ls", "cost": None, "method": "dp", "grid": (101, 51), "step": 0.05, "effort": "default"}
-    assert settings == defaults | {"check": False}
+    assert settings == defaults | {"seconds": 300.0, "gap": None, "check": False}
 
 
 def test_a_plan_the_pump_cannot_deliver_ends_well_but_never_reads_solved(monkeypatch, planned):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leanboom import cells, dp, motion, planner, resources, search, stages
+from leanboom import cells, dp, incumbent, motion, planner, report, resources, search, stages
 from leanboom.errors import InputError
 from leanboom.files import load_task
 from leanboom.judge import judged_cost
@@ -134,9 +134,30 @@ def test_the_best_start_costs_no_more_than_any_given_one(pump):
 
 @pytest.mark.parametrize("pump", planner.PUMPS)
 def test_more_effort_costs_no_more_energy(pump):
-    spent = [energy(VERTICAL, pump, effort=effort) for effort in ("quick", "default", "thorough")]
+    spent = [energy(VERTICAL, pump, effort=effort, seconds=0.1) for effort in ("quick", "default", "thorough")]
     assert spent[1] <= spent[0] * (1.0 + SAME)
     assert spent[2] <= spent[1] * (1.0 + SAME)
+
+
+def test_thorough_proves_how_far_from_the_optimum_the_plan_can_be():
+    """The bound lies below what the planned motion takes in the same discretised problem, and the report says so."""
+    step = 0.1
+    plan = planner.run(VERTICAL, pump="cp", effort="thorough", seconds=0.1, grid=(41, 31), step=step, baseline=False)
+    proof = plan.certificate
+    assert proof is not None
+    problem = stages.discretise(VERTICAL, step)
+    measured = incumbent.measure(problem, stages.on_stages(problem, plan.motion), "cp")
+    assert 0.0 < proof.lower_bound_j <= proof.energy_j
+    assert not measured.keeps_limits or proof.energy_j <= measured.energy
+    assert f"{proof.lower_bound_j / 1e3:.2f} kJ, {proof.gap_percent:.2f} % below" in report.page(plan)
+
+
+def test_what_a_proof_finds_is_one_more_seed():
+    looking = search.Search(VERTICAL, "cp", (41, 31), 0.1, search.EFFORTS["quick"])
+    better = planner.plan(VERTICAL, "cp", grid=(41, 31), step=0.1)
+    held = motion.from_velocities(0.1, float(better.position[0]), np.zeros(61), "dp", "cp")
+    before = looking.judge(held, "a motion that does not move").energy_cp
+    assert looking.look_around(better).energy_cp < before
 
 
 def test_an_unknown_effort_names_the_known_ones():

@@ -19,15 +19,17 @@ from typing import Any
 
 import numpy as np
 
-from leanboom import cells, compiling, dp, guide, incumbent, planner, polish, resources, stages
+from leanboom import cells, compiling, dp, guide, incumbent, polish, resources, stages
 from leanboom.budget import Budget
 from leanboom.errors import InfeasibleError, InputError, LeanboomError
 from leanboom.incumbent import Measured
 from leanboom.motion import Motion
-from leanboom.planner import PUMPS, Progress
+from leanboom.objective import PUMPS
+from leanboom.search import GRID, Progress, Search
 from leanboom.stages import Problem
 from leanboom.task import Task
 
+SECONDS, GAP = 60.0, 0.5  # time for a proof [s] and gap at which it ends [%], by default
 ROUNDING = 1e-9  # share of the bound that covers the rounding of floating-point numbers
 ENOUGH = 0.99  # share of the gap asked for by which energies are below the best known one where cells are dropped
 PROMISE = 0.5  # share of a level's gap that may be left with the same slopes on the next
@@ -128,8 +130,8 @@ def certify(
     *,
     motion: Motion | None = None,
     step: float = 0.05,
-    seconds: float = 60.0,
-    gap: float = 0.5,
+    seconds: float = SECONDS,
+    gap: float = GAP,
     progress: Progress | None = None,
 ) -> Certificate:
     """Prove how far a plan can be from the global optimum of its discretised problem.
@@ -153,10 +155,10 @@ def certify(
     """
     tell = progress or (lambda text, share: None)
     check(pump, step, seconds, gap)
-    if not isinstance(task.machine.pump.efficiency, float | int):
+    if not provable(task):
         raise InputError("pump.efficiency is a map; a certificate needs a constant efficiency")
     if motion is None:
-        motion = planner.run(task, pump=pump, step=step, baseline=False, progress=progress).motion
+        motion = _planned(task, pump, step, tell)
     tell("loading kernels of the bounds", 0.0)
     with compiling.told(tell):
         dp.prepare()
@@ -188,6 +190,24 @@ def certify(
         task, pump, problem.step, best.motion, best.energy, proof.lower, budget.gone, tuple(proof.levels), reason,
         budget.processor, proof.outlook() if reason == TIME_IS_OVER else None,
     )  # fmt: skip
+
+
+def provable(task: Task) -> bool:
+    """Whether a task's energy can be bounded: not with a map of the pump's efficiency."""
+    return isinstance(task.machine.pump.efficiency, float | int)
+
+
+def _planned(task: Task, pump: str, step: float, tell: Progress) -> Motion:
+    """The planner's motion of a task; InfeasibleError where none keeps all limits."""
+    dp.check_memory(int(np.ceil(task.duration / step)), *GRID)
+    tell("loading kernels", 0.0)
+    with compiling.told(tell):
+        dp.prepare()
+        polish.prepare()
+    best = Search(task, pump, GRID, step, tell=tell).run()
+    if not best.feasible:
+        raise InfeasibleError(f"no feasible motion found: {best.status}", evaluation=best)
+    return best.motion
 
 
 def check(pump: str, step: float, seconds: float, gap: float) -> None:

@@ -1,6 +1,8 @@
-"""The costs a motion can be planned for, and their codes inside kernels."""
+"""The pumps, the costs a motion can be planned for, and their codes inside kernels."""
 
 from __future__ import annotations
+
+PUMPS = ("ls", "cp")  # load-sensing, constant-pressure
 
 COSTS = {
     "ls": 0,  # load-sensing pump energy, eq. (36); eq. (32), 3-DOF paper [J]

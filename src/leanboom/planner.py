@@ -14,12 +14,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leanboom import cells, compiling, dp, polish, ranges, stages
+from leanboom import cells, certificate, compiling, dp, incumbent, polish, ranges, stages
+from leanboom.certificate import Certificate
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.judge import Evaluation, check_measurable, evaluate
 from leanboom.motion import Motion, headed
-from leanboom.objective import COSTS
-from leanboom.search import EFFORTS, Progress, Search, shortest_duration
+from leanboom.objective import COSTS, PUMPS
+from leanboom.search import EFFORTS, GRID, Progress, Search, shortest_duration
 from leanboom.task import Task
 
 METHODS = {
@@ -33,10 +34,10 @@ METHODS = {
     "sns-actuator": "actuator-limited pseudo-inverse, least cylinder velocities",
     "sns-actuator-weighted": "the same, cylinder velocities weighted by flow areas",
 }
-PUMPS = ("ls", "cp")
 
 KEPT = 8  # judged motions that a search holds at a time
-GRID = (101, 51)  # positions and velocities of the coarse program: denser ones end no lower on random tasks
+PROOF_SECONDS = 300.0  # time that `thorough` takes for a proof at most [s]
+PROVEN = {"ls": 1.0, "cp": 0.3}  # gap at which it ends [%]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,6 +50,7 @@ class Plan:
     evaluation: Evaluation
     baseline: Evaluation | None  # sns-actuator from the same start
     peak_memory_bytes: int | None  # None where the system does not say
+    certificate: Certificate | None = None  # of the effort `thorough`
 
     @property
     def status(self) -> str:
@@ -89,6 +91,8 @@ def plan(
     grid: tuple[int, int] = GRID,
     step: float = 0.05,
     effort: str = "default",
+    seconds: float = PROOF_SECONDS,
+    gap: float | None = None,
     warm_start: Sequence[Motion] = (),
     check: bool = True,
 ) -> Motion:
@@ -101,7 +105,10 @@ def plan(
         method: A name of `METHODS`.
         grid: Position and velocity nodes of the coarse grid.
         step: Length of a stage [s].
-        effort: "quick" (one local minimum, no shorter stages), "default" or "thorough" (more of both).
+        effort: "quick" (one local minimum, no shorter stages), "default" (several), or "thorough": more of them, and a
+            proof of how far from the optimum the plan can be, whose best motion is one more seed.
+        seconds: Time for the proof [s], as in `certify`.
+        gap: Gap at which the proof ends [%]; by default 1 for "ls", 0.3 for "cp".
         warm_start: Motions of this task or of one with tighter limits; the plan is never worse than a feasible one.
         check: Whether to raise where no feasible motion was found.
 
@@ -113,8 +120,8 @@ def plan(
         InfeasibleError: If `check` and no motion keeps every limit, with the best one as its `plan`.
     """
     return run(
-        task, pump=pump, cost=cost, method=method, grid=grid, step=step, effort=effort, warm_start=warm_start,
-        baseline=False, check=check,
+        task, pump=pump, cost=cost, method=method, grid=grid, step=step, effort=effort, seconds=seconds, gap=gap,
+        warm_start=warm_start, baseline=False, check=check,
     ).motion  # fmt: skip
 
 
@@ -127,6 +134,8 @@ def run(
     grid: tuple[int, int] = GRID,
     step: float = 0.05,
     effort: str = "default",
+    seconds: float = PROOF_SECONDS,
+    gap: float | None = None,
     warm_start: Sequence[Motion] = (),
     baseline: bool = True,
     check: bool = True,
@@ -141,7 +150,10 @@ def run(
         method: A name of `METHODS`.
         grid: Position and velocity nodes of the coarse grid.
         step: Length of a stage [s].
-        effort: "quick" (one local minimum, no shorter stages), "default" or "thorough" (more of both).
+        effort: "quick" (one local minimum, no shorter stages), "default" (several), or "thorough": more of them, and a
+            proof of how far from the optimum the plan can be, whose best motion is one more seed.
+        seconds: Time for the proof [s], as in `certify`.
+        gap: Gap at which the proof ends [%]; by default 1 for "ls", 0.3 for "cp".
         warm_start: Motions of this task or of one with tighter limits; the plan is never worse than a feasible one.
         baseline: Whether to judge the actuator pseudo-inverse as well.
         check: Whether to raise where no feasible motion was found.
@@ -157,6 +169,8 @@ def run(
     """
     cost = pump if cost is None else cost
     grid, step = _check(task, pump, cost, method, grid, step, effort)
+    gap = PROVEN[pump] if gap is None else gap
+    certificate.check(pump, step, seconds, gap)
     tell = progress or (lambda text, share: None)
     tell("loading kernels", 0.0)
     with compiling.told(tell):
@@ -166,20 +180,42 @@ def run(
     began = time.perf_counter()
     search = Search(task, cost, grid, step, EFFORTS[effort], tell)
     best = _by(method, search, warm_start)
-    seconds = time.perf_counter() - began
+    proof = None
+    if effort == "thorough" and certificate.provable(task) and method == "dp" and cost == pump and best.feasible:
+        best, proof = _prove(search, best, step, seconds, gap)
+    solve_s = time.perf_counter() - began
     status = best.status_with(pump) if best.feasible or method != "dp" else _explain(search, best)
     done = replace(
-        best.motion, method=method, cost=cost, solve_s=seconds, log=best.motion.log or tuple(search.log), status=status
+        best.motion, method=method, cost=cost, solve_s=solve_s, log=best.motion.log or tuple(search.log), status=status
     )
     best = replace(best, motion=done)
     if not best.feasible:
         best = replace(best, violations=(status, *best.violations[1:]))
     other = search.baseline(float(done.position[0])) if baseline else None
     tell("done", 1.0)
-    found = Plan(task, pump, done, best, other, _peak_memory())
+    found = Plan(task, pump, done, best, other, _peak_memory(), proof)
     if check and not best.feasible:
         raise InfeasibleError(status, plan=found, evaluation=best)
     return found
+
+
+def _prove(
+    search: Search, best: Evaluation, step: float, seconds: float, gap: float
+) -> tuple[Evaluation, Certificate | None]:
+    """The best motion and its certificate, each with what the other one found."""
+    task, pump = search.task, search.cost
+    try:
+        proof = certificate.certify(
+            task, pump, motion=best.motion, step=step, seconds=seconds, gap=gap, progress=search.tell
+        )
+    except InfeasibleError:  # stages of this length are too coarse for the motion
+        return best, None
+    best = search.look_around(proof.motion)
+    problem = stages.discretise(task, step)
+    again = incumbent.measure(problem, stages.on_stages(problem, best.motion), pump)
+    if again.keeps_limits and again.energy < proof.energy_j:
+        proof = replace(proof, motion=again.motion, energy_j=again.energy)
+    return best, proof
 
 
 def _peak_memory() -> int | None:

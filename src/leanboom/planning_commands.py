@@ -49,7 +49,10 @@ def plan(
     step: Step = "0.05",
     effort: Annotated[
         Literal["quick", "default", "thorough"],
-        typer.Option(help="How many ways to follow the path are looked into, and how closely."),
+        typer.Option(
+            help="How many ways to follow the path are looked into, and how closely; thorough also proves how far from "
+            "the optimum the plan can be (up to five minutes)."
+        ),
     ] = "default",
     out: Annotated[
         Path | None,
@@ -59,28 +62,44 @@ def plan(
         bool,
         typer.Option("--certify", help="Prove how far from the optimum the plan can be (a minute; see certify)."),
     ] = False,
+    seconds: Annotated[
+        str | None,
+        typer.Option(metavar="TIME", help="Time of that proof; by default 60 s, with --effort thorough 300 s."),
+    ] = None,
+    gap: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PERCENT", help="Gap at which it ends; by default 0.5, with --effort thorough 1 (ls) or 0.3 (cp)."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Plan the motion that takes the least pump energy."""
-    nodes, seconds = settings(grid, step)
+    nodes, stage = settings(grid, step)
     from leanboom import files, runfolder
 
     asked = files.load_task(task, start=start)
-    from leanboom import planner
+    from dataclasses import replace
 
+    from leanboom import certificate, planner
+
+    limit = None if seconds is None else duration("seconds", seconds)
+    least = None if gap is None else percent("gap", gap)
     with Progress() as tell, runfolder.reserved(out):
         result = planner.run(
-            asked, pump=pump, cost=cost, method=method, grid=nodes, step=seconds, effort=effort, check=False,
-            progress=tell,
+            asked, pump=pump, cost=cost, method=method, grid=nodes, step=stage, effort=effort,
+            seconds=limit or planner.PROOF_SECONDS, gap=least, check=False, progress=tell,
         )  # fmt: skip
+        if certified and result.certificate is None and result.evaluation.feasible:
+            proof = certificate.certify(
+                asked, pump, motion=result.motion, step=stage, seconds=limit or certificate.SECONDS,
+                gap=certificate.GAP if least is None else least, progress=tell,
+            )  # fmt: skip
+            result = replace(result, certificate=proof)
         if out is not None:
             tell("writing the run folder", 1.0)
             runfolder.write(result, out, nodes)
-        proof = None
-        if certified and result.evaluation.feasible:
-            from leanboom import certificate
-
-            proof = certificate.certify(asked, pump, motion=result.motion, step=seconds, progress=tell)
+        proof = result.certificate
     if as_json:
         print_json(runfolder.summary(result, out) | ({} if proof is None else proof.json()))
     else:

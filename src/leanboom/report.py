@@ -174,14 +174,25 @@ def _lead(plan: Plan) -> str:
     )
     saving = plan.saving()
     if plan.baseline is None or saving is None:
-        return f"{begin}.{goal}"
+        return f"{begin}.{goal}{_proven(plan)}"
     other = _kilojoule(plan.baseline, plan.pump)
     if abs(saving) < 5e-4:
         compared = "as much as the"
     else:
         share = f"{100 * abs(saving):.{0 if abs(saving) > 0.01 else 1}f} %"
         compared = f"<strong>{share} {'less' if saving > 0.0 else 'more'}</strong> than the {other} of the"
-    return f"{begin}, {compared} method in use today, the pseudo-inverse.{goal}"
+    return f"{begin}, {compared} method in use today, the pseudo-inverse.{goal}{_proven(plan)}"
+
+
+def _proven(plan: Plan) -> str:
+    """What is proven of the plan's distance from the optimum, if anything."""
+    proof = plan.certificate
+    if proof is None:
+        return ""
+    return (
+        f" It is proven that no motion planned in stages of {proof.step:g} s takes less than "
+        f"{proof.lower_bound_j / 1e3:.2f} kJ, {proof.gap_percent:.2f} % below the best one known."
+    )
 
 
 def _goal(plan: Plan) -> str:

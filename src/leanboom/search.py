@@ -25,6 +25,7 @@ from leanboom.task import Task
 
 Progress = Callable[[str, float], None]
 
+GRID = (101, 51)  # positions and velocities of the coarse program: denser ones end no lower on random tasks
 # Half widths of the first tube, of the stroke range and of the coarse grid's velocities. Level n is 1 / 2^n as wide.
 WIDTH, SPREAD = 0.03, 0.12
 # Nodes of a tube. With loads velocities count: switches lie where cylinders begin to be driven, a few mm/s apart;
@@ -108,6 +109,17 @@ class Search:
         if not self.known_best().feasible:
             self.from_other_costs(problem, start)
         self.keep_baseline(problem, other, first)
+        return self.known_best()
+
+    def look_around(self, seed: Motion) -> Evaluation:
+        """The best motion after one more seed, such as one that a proof has found."""
+        problem = stages.discretise(self.task, self.step)
+        start = dp.start_position(problem, self.task.start)
+        before = self.known_best()
+        judged = self.judge(seed, "given motion")
+        if judged_cost(judged, self.cost) <= LEADING * judged_cost(before, self.cost):
+            self.descend(problem, judged.motion, start, NEXT_LEVELS)
+            self.finer_stages(start)
         return self.known_best()
 
     def known_best(self) -> Evaluation:
