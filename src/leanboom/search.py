@@ -63,7 +63,7 @@ class Effort:
 
 EFFORTS = {
     "quick": Effort(1, 0, 0.0, 1, 1),
-    "default": Effort(12, 1200, 0.02, 2, 4),
+    "default": Effort(4, 800, 0.02, 2, 4),
     "thorough": Effort(24, 4800, 0.05, 4, 4),
 }
 
