@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from leanboom import files, motion, outcomes, planner, tables
-from leanboom.console import add_row, new_table, show
+from leanboom.console import add_row, new_table, say, show
 from leanboom.experiments import Line
 from leanboom.judge import evaluate
 
@@ -82,3 +82,17 @@ def test_an_unsolved_plan_has_no_saving_in_its_table(plan):
     text = printed(160, outcomes.plan, replace(plan, evaluation=evaluate(task, plan.motion)), None, "forwarder")
     (row,) = [line for line in text.splitlines() if line.startswith("load-sensing pump (chosen)")]
     assert row.split()[-1] == "-" and "NOT SOLVED" in text and "all kept" not in text
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_lines_wrap_at_spaces_in_a_terminal_and_keep_names_in_one_piece(terminal):
+    """A terminal wrapped inside words; what goes into a file keeps its lines."""
+    path = "/folder/" + "of-a-long-name/" * 5 + "report.html"
+    text = f"Report    {path} and a sentence that goes on for more than a narrow line"
+    said = io.StringIO()
+    say(Console(file=said, width=40, force_terminal=terminal, color_system=None), text)
+    lines = said.getvalue().splitlines()
+    assert " ".join(" ".join(lines).split()) == " ".join(text.split())
+    assert path in said.getvalue()
+    assert (len(lines) > 1) == terminal
+    assert not terminal or all(len(line) <= 40 or path in line for line in lines)

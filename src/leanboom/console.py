@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 from rich.box import SIMPLE_HEAD
 from rich.cells import cell_len
 from rich.console import Console
@@ -22,7 +24,12 @@ def output() -> Console:
 
 
 def say(console: Console, text: str, style: str = "") -> None:
-    """One line of text, taken literally and left to the terminal to wrap."""
+    """One line of text, taken literally; a terminal gets it wrapped at spaces, with names and paths in one piece."""
+    if console.is_terminal:
+        text = "\n".join(
+            textwrap.fill(line, console.width, break_long_words=False, break_on_hyphens=False, replace_whitespace=False)
+            for line in text.split("\n")
+        )
     console.print(Text(text, style=style), soft_wrap=True)
 
 
