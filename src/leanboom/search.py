@@ -347,9 +347,10 @@ class Search:
 
         try:
             step = pseudo_inverse.STEP if step is None else step
-            return evaluate(self.task, pseudo_inverse.resolve(self.task, start, "actuator", step))
+            judged = evaluate(self.task, pseudo_inverse.resolve(self.task, start, "actuator", step))
         except LeanboomError:
             return None
+        return judged if judged.followed else None
 
     def keep_baseline(self, problem: Problem, rough: Evaluation | None, start: float) -> None:
         """Take the pseudo-inverse, and polish it, where it is better than the best motion: no plan is worse than it."""
