@@ -5,9 +5,10 @@ a straight line, several lines or a spline through points reached by random join
 about capacity; a start. Tasks without a motion that a coarse program finds are left out.
 
 Each is planned with default settings and looked at again: on other grids, with half the step, with `thorough` effort
-if asked for, by the other methods, and through relations that must hold between plans. Every motion found on the way
-that is feasible for the task itself counts as known. Printed are the shares by which default plans are dearer than the
-best known motion, how often a relation is broken, and the worst numbers, by which a task can be drawn again.
+if asked for, by the other methods, from random motions if asked for, and through relations that must hold between
+plans. Every motion found on the way that is feasible for the task itself counts as known. Printed are the shares by
+which default plans are dearer than the best known motion, how often a relation is broken, and the worst numbers, by
+which a task can be drawn again.
 """
 
 from __future__ import annotations
@@ -15,14 +16,15 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 import leanboom as lb
-from leanboom import dp, kinematics, planner, stages
-from leanboom.machine import Machine
-from leanboom.motion import Motion
+from leanboom import dp, kinematics, planner, search, stages
+from leanboom.machine import FourBar, Geometry, Linkage, Machine, Polynomial, RackAndPinion, Triangle
+from leanboom.motion import Motion, from_velocities
 from leanboom.task import Lines, Spline, Task
 
 METHODS = ("sns-actuator", "dp1", "polish")
@@ -112,13 +114,104 @@ def limits(task: Task, velocity: float = 1.0, acceleration: float = 1.0) -> Task
     return replace(task, machine=replace(task.machine, cylinders=cylinders))
 
 
-def relations(task: Task) -> Iterator[tuple[str, Task]]:
-    """Tasks whose plans must not cost more than the task's own."""
-    yield "acceleration limits x 3", limits(task, acceleration=3.0)
-    yield "limits x 1.5", limits(task, 1.5, 1.5)
-    yield "velocity limits x 100", limits(task, 100.0)
+def scaled(task: Task, factor: float) -> Task:
+    """A similar task: all lengths times a factor, at the same times and pressures.
+
+    Areas grow with the factor and masses stay, so velocities, accelerations, gravity and forces grow with the factor;
+    inertias, flows, powers and energies with its square. Friction that grows over the stroke does so per metre, which
+    nothing scales: there is no similar task.
+    """
+    machine = task.machine
+
+    def grown(part, lengths: tuple[str, ...] = (), squares: tuple[str, ...] = ()):
+        changed = {name: factor * getattr(part, name) for name in lengths}
+        return replace(part, **changed, **{name: factor**2 * getattr(part, name) for name in squares})
+
+    def linkage(one: Linkage) -> Linkage:
+        match one:
+            case RackAndPinion():
+                return grown(one, ("arm",))
+            case Triangle():
+                return grown(one, ("long", "short"))
+            case FourBar():
+                return grown(one, ("L21", "L22", "L23", "L24", "L25"))
+            case Polynomial():
+                return Polynomial(tuple(factor * c for c in one.coefficients))
+            case _:
+                return one  # a ratio
+
+    def cylinder(one):
+        sharp = one.friction.sharpness
+        turns = one.friction.joint_velocity and one.name != "extension"
+        friction = replace(
+            one.friction, coulomb=factor * one.friction.coulomb, sharpness=sharp if turns else sharp / factor
+        )
+        grow = ("piston_area", "rod_side_area", "stroke", "velocity_limit", "acceleration_limit")
+        return replace(grown(one, grow), friction=friction, linkage=linkage(one.linkage))
+
+    *turning, extension = machine.joints
+    geometry: Geometry = grown(machine.geometry, ("base_x", "base_z", "boom", "offset", "outer"))
+    similar = replace(
+        grown(machine, ("payload_along", "payload_above", "driven_velocity", "gravity")),
+        geometry=geometry, joints=(*turning, grown(extension, ("lower", "upper"))),
+        cylinders=tuple(map(cylinder, machine.cylinders)),
+        bodies=tuple(grown(body, ("along", "above"), ("inertia",)) for body in machine.bodies),
+        pump=grown(machine.pump, (), ("max_flow",)),
+    )  # fmt: skip
+    points = tuple(tuple(factor * x for x in point) for point in task.path.points)
+    start = task.start if isinstance(task.start, str) else factor * task.start
+    return replace(task, machine=similar, path=replace(task.path, points=points), start=start)
+
+
+def back(task: Task) -> Task:
+    """The task's straight lines there and back."""
+    points, durations = task.path.points, task.path.durations
+    return replace(task, path=Lines(points + points[-2::-1], durations + durations[::-1]))
+
+
+def there_and_back(task: Task, pump: str, ours: planner.Plan) -> float:
+    """By what share there and back costs more than the plan and the one back from where it ends; -inf without one."""
+    home = Lines(task.path.points[::-1], task.path.durations[::-1])
+    end = float(np.clip(ours.motion.position[-1], 0.0, task.machine.redundant.stroke))
+    single = planned(replace(task, path=home, start=end), pump)
+    if single is None:
+        return -np.inf
+    both = planned(back(task), pump)
+    alone = ours.evaluation.energy(pump) + single.evaluation.energy(pump)
+    return np.inf if both is None else both.evaluation.energy(pump) / alone - 1.0
+
+
+def relations(task: Task) -> Iterator[tuple[str, Task, float]]:
+    """Tasks whose plans must not cost more than so many times the task's own."""
+    yield "acceleration limits x 3", limits(task, acceleration=3.0), 1.0
+    yield "limits x 1.5", limits(task, 1.5, 1.5), 1.0
+    yield "velocity limits x 100", limits(task, 100.0), 1.0
+    similar = all(cylinder.friction.steps is None for cylinder in task.machine.cylinders)
+    for factor in (0.1, 10.0) if similar else ():
+        yield f"lengths x {factor:g}", scaled(task, factor), factor**2
     if task.start != "best":
-        yield "start: best", replace(task, start="best")
+        yield "start: best", replace(task, start="best"), 1.0
+
+
+def from_random_motions(task: Task, pump: str, count: int, number: int) -> Iterator[Motion]:
+    """Motions that the search descends to from random ones: smooth courses through five random extensions."""
+    rng = np.random.default_rng(number)
+    problem = stages.discretise(task, 0.05)
+    start = dp.start_position(problem, task.start)
+    node = np.linspace(0.0, 1.0, problem.stages + 1)
+    for _ in range(count):
+        knots = np.linspace(0.0, 1.0, 5)
+        share = CubicSpline(knots, rng.random(knots.size), bc_type="clamped")(node)
+        position = problem.lower + np.clip(share, 0.0, 1.0) * (problem.upper - problem.lower)
+        if start is not None:
+            position += (start - position[0]) * (1.0 - node) ** 4
+        velocity = np.gradient(position, problem.step)
+        velocity[[0, -1]] = 0.0
+        seed = from_velocities(problem.step, float(position[0]), velocity, "random", pump)
+        one = search.Search(task, pump, search.GRID, problem.step)
+        found = one.descend(problem, seed, start, search.NEXT_LEVELS)
+        if found.feasible:
+            yield found.motion
 
 
 def planned(task: Task, pump: str, **options) -> planner.Plan | None:
@@ -136,6 +229,81 @@ def known(task: Task, pump: str, motion: Motion) -> float:
     return judged.energy(pump) if judged.feasible else np.inf
 
 
+@dataclass
+class Tally:
+    """What the plans of one pump lost, and how often relations between them were broken."""
+
+    pump: str
+    losses: list[tuple[float, str]] = field(default_factory=list)  # share above the best known motion, and of what
+    gaps: list[float] = field(default_factory=list)  # proven [%]
+    relations: dict[str, list[tuple[float, str]]] = field(default_factory=dict)  # shares above what was to hold
+
+    def look_again(self, task: Task, number: int, arguments: argparse.Namespace) -> None:
+        """Plan a task and look for anything better, in every other way."""
+        ours = planned(task, self.pump)
+        energy = np.inf if ours is None else ours.evaluation.energy(self.pump)
+        best, winner = energy, "default"
+        for name, motion in self.others(task, number, arguments):
+            if known(task, self.pump, motion) < best:
+                best, winner = known(task, self.pump, motion), name
+        if np.isfinite(best):
+            self.losses.append((energy / best - 1.0, f"{task.name} {self.pump} by {winner}"))
+            if self.losses[-1][0] > SAME:
+                print(f"{task.name} {self.pump}: {winner} {best:.1f} J, default {energy:.1f} J", flush=True)
+        if ours is None:
+            return
+        for name, other_task, times in relations(task):
+            other = planned(other_task, self.pump)
+            more = np.inf if other is None else other.evaluation.energy(self.pump) / (times * energy) - 1.0
+            self.relations.setdefault(name, []).append((more, task.name))
+        if isinstance(task.path, Lines):
+            more = there_and_back(task, self.pump, ours)
+            self.relations.setdefault("there and back", []).append((more, task.name))
+
+    def others(self, task: Task, number: int, arguments: argparse.Namespace) -> Iterator[tuple[str, Motion]]:
+        """Motions found in other ways, by what found them."""
+        ways = dict(LOOKS)
+        if task.start != "best":
+            ways |= {method: {"method": method} for method in METHODS + (DIRECT if arguments.direct else ())}
+        for name, options in ways.items():
+            if (other := planned(task, self.pump, **options)) is not None:
+                yield name, other.motion
+        if arguments.proof:
+            proven = planned(task, self.pump, effort="thorough", seconds=arguments.proof)
+            if proven is not None:
+                yield "thorough", proven.motion
+                if proven.certificate is not None:
+                    self.gaps.append(proven.certificate.gap_percent)
+        if (narrow := planned(limits(task, acceleration=0.7), self.pump)) is not None:
+            yield "narrow limits", narrow.motion
+        for motion in from_random_motions(task, self.pump, arguments.random, number):
+            yield "a random motion", motion
+
+    def report(self) -> None:
+        """Print the shares and the worst tasks."""
+        shares = np.array([share for share, _ in self.losses])
+        print(
+            f"{self.pump}: {len(shares)} plans; dearer than the best known by more than 0.1 %: {np.sum(shares > SAME)},"
+            f" 0.5 %: {np.sum(shares > 5e-3)}; 90 %, 98 %, 100 % within "
+            + ", ".join(f"{100 * np.quantile(shares, q):.3f} %" for q in (0.9, 0.98, 1.0))
+        )
+        for share, name in sorted(self.losses, reverse=True)[:5]:
+            print(f"   {100 * share:+.3f} %  {name}")
+        if self.gaps:
+            wanted = planner.PROVEN[self.pump]
+            print(
+                f"   proven gaps of {len(self.gaps)} plans: {100 * np.mean(np.array(self.gaps) <= wanted):.0f} % at "
+                f"most {wanted} %; 50 %, 90 %, 100 % within "
+                + ", ".join(f"{np.quantile(self.gaps, q):.2f} %" for q in (0.5, 0.9, 1.0))
+            )
+        for name, rows in self.relations.items():
+            worst = max(rows)
+            print(
+                f"   {name}: {len(rows)} plans, dearer by more than 0.1 % in {sum(more > SAME for more, _ in rows)}, "
+                f"at worst {100 * worst[0]:+.3f} % ({worst[1]})"
+            )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tasks", type=int, default=300)
@@ -143,63 +311,22 @@ def main() -> None:
     parser.add_argument("--pumps", default="ls,cp")
     parser.add_argument("--proof", type=float, default=0.0, help="seconds of `thorough` for a proof; 0: without")
     parser.add_argument("--direct", action="store_true", help="also collocation and shooting (minutes a task)")
+    parser.add_argument("--random", type=int, default=0, help="random motions to descend from, a task")
     arguments = parser.parse_args()
     dp.prepare()
     began, done, number = time.perf_counter(), 0, arguments.first
-    gaps: dict[str, list[float]] = {}
-    lost: dict[str, list[tuple[float, str]]] = {pump: [] for pump in arguments.pumps.split(",")}
-    broken: dict[str, list[tuple[float, str]]] = {}
+    tallies = [Tally(pump) for pump in arguments.pumps.split(",")]
     while done < arguments.tasks:
         task, number = random_task(number), number + 1
         if not has_motion(task):
             continue
         done += 1
-        for pump, losses in lost.items():
-            ours = planned(task, pump)
-            energy = np.inf if ours is None else ours.evaluation.energy(pump)
-            best, winner = energy, "default"
-            looks = {name: planned(task, pump, **options) for name, options in LOOKS.items()}
-            if arguments.proof:
-                looks["thorough"] = proven = planned(task, pump, effort="thorough", seconds=arguments.proof)
-                if proven is not None and proven.certificate is not None:
-                    gaps.setdefault(pump, []).append(proven.certificate.gap_percent)
-            if task.start != "best":
-                looks |= {m: planned(task, pump, method=m) for m in METHODS + (DIRECT if arguments.direct else ())}
-            looks["narrow limits"] = planned(limits(task, acceleration=0.7), pump)
-            for name, other in looks.items():
-                if other is not None and known(task, pump, other.motion) < best:
-                    best, winner = known(task, pump, other.motion), name
-            if np.isfinite(best):
-                losses.append((energy / best - 1.0, f"{task.name} {pump} by {winner}"))
-                if losses[-1][0] > SAME:
-                    print(f"{task.name} {pump}: {winner} {best:.1f} J, default {energy:.1f} J", flush=True)
-            for name, wider in relations(task) if ours is not None else ():
-                other = planned(wider, pump)
-                more = np.inf if other is None else other.evaluation.energy(pump) / energy - 1.0
-                broken.setdefault(f"{name}, {pump}", []).append((more, task.name))
+        for tally in tallies:
+            tally.look_again(task, number, arguments)
         if done % 10 == 0:
             print(f"{done} tasks, {time.perf_counter() - began:.0f} s", flush=True)
-    for pump, losses in lost.items():
-        shares = np.array([share for share, _ in losses])
-        print(
-            f"{pump}: {len(losses)} plans; dearer than the best known by more than 0.1 %: {np.sum(shares > SAME)}, "
-            f"0.5 %: {np.sum(shares > 5e-3)}; 90 %, 98 %, 100 % within "
-            + ", ".join(f"{100 * np.quantile(shares, q):.3f} %" for q in (0.9, 0.98, 1.0))
-        )
-        for share, name in sorted(losses, reverse=True)[:5]:
-            print(f"   {100 * share:+.3f} %  {name}")
-    for pump, found in gaps.items():
-        enough = np.mean(np.array(found) <= planner.PROVEN[pump])
-        print(
-            f"{pump}: proven gaps of {len(found)} plans: {100 * enough:.0f} % at most {planner.PROVEN[pump]} %; "
-            f"50 %, 90 %, 100 % within " + ", ".join(f"{np.quantile(found, q):.2f} %" for q in (0.5, 0.9, 1.0))
-        )
-    for name, rows in broken.items():
-        worst = max(rows)
-        print(
-            f"{name}: {len(rows)} plans, dearer by more than 0.1 % in {sum(more > SAME for more, _ in rows)}, "
-            f"at worst {100 * worst[0]:+.3f} % ({worst[1]})"
-        )
+    for tally in tallies:
+        tally.report()
 
 
 if __name__ == "__main__":

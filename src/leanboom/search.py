@@ -32,6 +32,7 @@ WIDTH, SPREAD = 0.03, 0.12
 # narrower tubes do with fewer positions. The last where the motion follows an end of feasible extensions that moves.
 TUBE, LOADED_TUBE, NARROW_TUBE, RIDING_TUBE = (17, 17), (17, 65), (9, 65), (31, 33)
 FIRST_LEVELS, NEXT_LEVELS, LAST_LEVELS = (0,), (0, 2), (1, 2)  # of local minima, the best, finer stages
+RIDING_LEVELS = (2, 3, 4, 5)  # with loads, where the motion follows a moving end
 LEAST_STAGES = 200  # with loads switches begin and end with stages: a short task has shorter ones
 SAME = 1e-6  # local minima whose costs differ by less than this share are one
 LEADING = 1.002  # local minima within this factor of the best are refined further
@@ -216,6 +217,8 @@ class Search:
         levels = NEXT_LEVELS if self.loads else NEXT_LEVELS[1:]
         for each in leaders[: self.effort.leading]:
             self.descend(problem, each.motion, start, levels)
+        if self.loads and self.rides_on_a_limit(problem):
+            self.descend(problem, self.known_best().motion, start, RIDING_LEVELS)
 
     def rides_on_a_limit(self, problem: Problem) -> bool:
         """Whether the best motion follows an end of the feasible extensions that itself moves."""
