@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from math import pi
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from leanboom.files import (
     load_task,
 )
 from leanboom.linkages import cylinder
-from leanboom.machine import METERING, Connection, MobileValve, Polynomial
+from leanboom.machine import METERING, Connection, Machine, MobileValve, Polynomial
 from leanboom.source import parse
 from leanboom.task import Lines, Spline, sample
 from leanboom.units import KINDS, slip, write
@@ -462,3 +462,13 @@ def test_a_key_without_a_value_is_as_good_as_absent(tmp_path):
         assert all(entry.key != "simulation.dead_volume" for entry in loaded.provenance)
         path.write_text(dump_machine(loaded), encoding="utf-8")
         assert load_machine(path) == loaded
+
+
+def test_gravity_is_the_same_by_default_in_a_file_and_in_python(tmp_path):
+    """9.80665 m/s^2, standard gravity, was 9.81 m/s^2 where a machine was made in Python."""
+    text = re.sub(r"\ngravity:.*", "", dump_machine(load_machine("loader")))
+    assert "gravity" not in text
+    file = tmp_path / "loader.yaml"
+    file.write_text(text, encoding="utf-8")
+    stated = {f.name: getattr(load_machine("loader"), f.name) for f in fields(Machine) if f.name != "gravity"}
+    assert load_machine(str(file)).gravity == Machine(**stated).gravity == 9.80665

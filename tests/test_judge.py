@@ -11,6 +11,7 @@ from scipy.integrate import fixed_quad
 
 from leanboom import crane as cranes
 from leanboom import hydraulics, kinematics
+from leanboom.errors import InputError
 from leanboom.files import bundled_tasks, load_machine, load_task
 from leanboom.judge import SAMPLE, evaluate, hydraulic_state, judged_cost
 from leanboom.machine import Joint
@@ -458,3 +459,11 @@ def test_evaluations_are_read_only_and_describe_themselves():
         f"Evaluation(slide, slide: LS {judged.energy_ls / 1e3:.2f} kJ, CP {judged.energy_cp / 1e3:.2f} kJ, "
         f"limit use {use.position:.3f}/{use.velocity:.3f}/{use.acceleration:.3f}, solved)"
     )
+
+
+@pytest.mark.parametrize("name", ["LS", "velocity", "", "actuator"])
+def test_energy_is_known_of_the_two_pumps_alone(name):
+    """Any other name used to be answered with the constant-pressure pump's energy."""
+    judged = evaluate(TASKS["loader-triangle-small"], rest(TASKS["loader-triangle-small"], 0.6))
+    with pytest.raises(InputError, match=f"pump = {name}; must be one of ls, cp"):
+        judged.energy(name)

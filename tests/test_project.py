@@ -16,9 +16,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "leanboom"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 MAX_LINES = 500
+LONG = {"schema.py": 520}  # one list of all keys of the files, read from top to bottom
 COMPILERS = {"njit", "jit", "vectorize", "guvectorize", "cfunc"}
-FLAG_SET = "FASTMATH"  # the one name a kernel may pass as fastmath
-SAFE_FLAGS = {"nsz", "arcp", "contract", "afn", "reassoc"}  # nnan and ninf break isnan and isinf
 HEAVY = ("numba", "casadi", "maptor", "plotly", "pint", "matplotlib")
 
 # In two parts, or this file would be its own first finding.
@@ -86,7 +85,7 @@ def _tracked_texts() -> Iterator[tuple[str, str]]:
 
 
 def _kernel_mistakes(path: Path) -> list[str]:
-    """Numba decorators of a file without a disk cache, or with other fastmath than the flag set."""
+    """Numba decorators of a file without a disk cache, or with fastmath, which breaks isnan and isinf."""
     mistakes = []
     for node in ast.walk(_tree(path)):
         if not isinstance(node, Function):
@@ -95,10 +94,8 @@ def _kernel_mistakes(path: Path) -> list[str]:
             cache = options.get("cache")
             if not (isinstance(cache, ast.Constant) and cache.value is True):
                 mistakes.append(f"{_where(path, node)}: cache=True is missing")
-            fastmath = options.get("fastmath")
-            name = fastmath.attr if isinstance(fastmath, ast.Attribute) else getattr(fastmath, "id", None)
-            if fastmath is not None and name != FLAG_SET:
-                mistakes.append(f"{_where(path, node)}: fastmath must be {FLAG_SET} or absent")
+            if "fastmath" in options:
+                mistakes.append(f"{_where(path, node)}: fastmath is not for kernels that test for nan and inf")
     return mistakes
 
 
@@ -109,6 +106,14 @@ def test_the_package_is_found():
 
 def test_kernels_are_cached_and_keep_infinities():
     assert [mistake for path in SOURCES for mistake in _kernel_mistakes(path)] == []
+
+
+@pytest.mark.parametrize("decorator", ["@njit", "@njit(cache=False)", "@numba.njit(cache=True, fastmath=True)"])
+def test_a_kernel_without_cache_or_with_fastmath_is_found(tmp_path, monkeypatch, decorator):
+    monkeypatch.setattr(sys.modules[__name__], "ROOT", tmp_path)
+    path = tmp_path / "kernels.py"
+    path.write_text(f"{decorator}\ndef f(x):\n    return x\n", encoding="utf-8")
+    assert len(_kernel_mistakes(path)) == 1
 
 
 def test_only_one_module_takes_decorators_from_numba():
@@ -126,17 +131,6 @@ def test_only_one_module_takes_decorators_from_numba():
         and node.attr in COMPILERS
     ]
     assert found == ["compiling.py"]
-
-
-def test_the_fastmath_flag_set_leaves_nan_and_infinity_alone():
-    flags = [
-        (path.name, set(ast.literal_eval(node.value)))
-        for path in SOURCES
-        for node in ast.walk(_tree(path))
-        if isinstance(node, ast.Assign)
-        and any(isinstance(target, ast.Name) and target.id == FLAG_SET for target in node.targets)
-    ]
-    assert [(name, found - SAFE_FLAGS) for name, found in flags if not found <= SAFE_FLAGS] == []
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
@@ -157,11 +151,9 @@ def test_public_names_are_documented(path):
     assert missing == []
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
-def test_long_files_say_why(path):
-    lines = len(path.read_text(encoding="utf-8").splitlines())
-    reason = re.search(r"\b(long|lines)\b", ast.get_docstring(_tree(path)) or "")
-    assert lines <= MAX_LINES or reason, f"{lines} lines: split by idea, or say in the docstring why it is long"
+def test_no_file_is_long_without_a_reason():
+    found = {p.name: n for p in SOURCES if (n := len(p.read_text(encoding="utf-8").splitlines())) > MAX_LINES}
+    assert {name: lines for name, lines in found.items() if lines > LONG.get(name, 0)} == {}
 
 
 def test_no_module_is_a_drawer():

@@ -75,7 +75,7 @@ class _Function:
         machine = crane.machine
         cylinder, joint = machine.cylinders[index], machine.joints[index]
         valve = machine.valve
-        assert isinstance(valve, IndependentMetering)  # see `controllers.of`
+        assert isinstance(valve, IndependentMetering)  # see `simulation.controller_of`
         self._a, self._b = cylinder.piston_area, cylinder.rod_side_area
         self._travel = plant.retracted(cylinder, joint.lower, joint.upper)[1]
         self._dead, self._bulk = machine.circuit.dead_volume, machine.circuit.bulk_modulus

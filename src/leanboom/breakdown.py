@@ -17,6 +17,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from leanboom.judge import Evaluation
+from leanboom.objective import of_pump
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +45,8 @@ def breakdown(evaluation: Evaluation, pump: str) -> Breakdown:
         pump: "ls" or "cp".
     """
     e, given = evaluation, evaluation.task.machine.pump
-    margin = given.ls_margin if pump == "ls" else 0.0
-    supply = e.supply_ls if pump == "ls" else e.supply_cp
-    power = e.power_ls if pump == "ls" else e.power_cp
+    margin = of_pump(pump, given.ls_margin, 0.0)
+    supply, power = of_pump(pump, (e.supply_ls, e.power_ls), (e.supply_cp, e.power_cp))
     counted = e.pressure > 0.0
     needed = e.pressure * e.flow
     work = np.clip(e.force * e.velocity, 0.0, needed)

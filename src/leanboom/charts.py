@@ -8,6 +8,7 @@ import numpy as np
 
 from leanboom import linkages
 from leanboom.judge import SAMPLE
+from leanboom.objective import of_pump
 
 if TYPE_CHECKING:
     from leanboom.judge import Evaluation
@@ -114,9 +115,8 @@ def _frames(motion: Evaluation, pump: str, frames: np.ndarray) -> dict[str, Any]
 
 def _pump_values(motion: Evaluation, pump: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Supply pressure [Pa], power [W] and energy so far [J] with a pump."""
-    if pump == "ls":
-        return motion.supply_ls, motion.power_ls, motion.cumulative_ls
-    return motion.supply_cp, motion.power_cp, motion.cumulative_cp
+    ls = motion.supply_ls, motion.power_ls, motion.cumulative_ls
+    return of_pump(pump, ls, (motion.supply_cp, motion.power_cp, motion.cumulative_cp))
 
 
 def _crane(plan: Plan, frames: np.ndarray) -> dict[str, Any]:

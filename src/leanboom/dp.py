@@ -162,8 +162,7 @@ def energy_scale(problem: Problem, cost: str) -> float:
     # Recuperation pays back as well as it takes: its gains reach well beyond its total.
     spread = 10.0 if cost == "recuperation" else 1.0
     pressure, shaft = crane.machine.pump.constant_pressure, shaft_of(crane.machine.pump)
-    power = pressure * flow + hydraulics.pump_losses(pressure, flow, shaft.idle, shaft.leak, shaft.drag)
-    return float(spread * np.mean(power) * duration)
+    return float(spread * np.mean(hydraulics.pump_power(pressure, flow, *shaft)) * duration)
 
 
 def slopes(problem: Problem, cost: str) -> tuple[float, float, float, float]:

@@ -21,12 +21,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import dp, motion, stages
+from leanboom import dp, hydraulics, motion, stages
 from leanboom.continuation import Continuation
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.judge import Evaluation, check_measurable, evaluate
 from leanboom.motion import Motion
-from leanboom.objective import COSTS
+from leanboom.objective import PUMPS, of_pump
 from leanboom.ranges import STAGE, checked, noted
 from leanboom.replanning import Search, track
 from leanboom.shaft import shaft_of
@@ -80,15 +80,17 @@ def price(problem: Problem, cost: str) -> Price:
     for drive, v0, v1, load in zip(
         crane.drives[moving], still.velocity[moving], forth.velocity[moving], still.load[moving], strict=True
     ):
-        flow += drive.area_out * abs(float(v1 - v0))
-        pressure = max(pressure, drive.gain_out * float(load), -drive.gain_in * float(load))
-    supply = machine.pump.constant_pressure if cost == "cp" else pressure + machine.pump.ls_margin
+        flow += float(hydraulics.cylinder_flow(v1 - v0, drive.area_out, drive.area_in))
+        line = drive.gain_out, drive.back_out, drive.gain_in, drive.back_in
+        against = np.sign(load)  # 1 m/s, the way its load is against it
+        pressure = max(pressure, float(hydraulics.counted_pressure(against, load, machine.driven_velocity, *line)))
+    supply = of_pump(cost, pressure + machine.pump.ls_margin, machine.pump.constant_pressure)
     shortest, longest = stages.stroke_range(problem.task)
     return Price(
         low,
         high,
         ROOM * (longest - shortest),
-        WORTH * supply * flow / shaft_of(machine.pump).efficiency,
+        WORTH * float(hydraulics.pump_power(supply, flow, *shaft_of(machine.pump))),
         BRAKE * machine.redundant.acceleration_limit,
         dp.slopes(problem, cost)[0],
     )
@@ -152,7 +154,7 @@ def plan_receding(
         first += taken
     whole = motion.from_velocities(step, start, speed, "receding", pump)
     judged = evaluate(task, whole)
-    status = judged.status_with("cp" if pump == "cp" else "ls")
+    status = judged.status_with(pump)
     if check and not judged.feasible:
         text = f"{status}; a horizon longer than {horizon:g} s leaves more time to react"
         raise InfeasibleError(text, evaluation=judged)
@@ -188,8 +190,8 @@ def _check(
 ) -> tuple[tuple[int, int], float]:
     """Grid and step as they are used; InputError for arguments that cannot be, all problems at once."""
     problems = []
-    if pump not in COSTS:
-        problems.append(f"pump = {pump}; must be one of {', '.join(COSTS)}")
+    if pump not in PUMPS:
+        problems.append(f"pump = {pump}; must be one of {', '.join(PUMPS)}")
     nodes, length = noted(problems, dp.nodes, grid), noted(problems, checked, "step", step, STAGE)
     if length is None:
         pass

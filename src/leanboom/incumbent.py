@@ -16,6 +16,7 @@ from leanboom import crane as cranes
 from leanboom import dp, hydraulics, polish, stages
 from leanboom.judge import PATH_TOLERANCE, TOLERANCE
 from leanboom.motion import Motion
+from leanboom.objective import of_pump
 from leanboom.polish import Polisher
 from leanboom.shaft import shaft_of
 from leanboom.stages import Problem
@@ -66,7 +67,7 @@ def measure(problem: Problem, candidate: Motion, pump: str) -> Measured:
         )
         used = max(used, np.max(np.abs(v)) / cylinder.velocity_limit / TOLERANCE)
         used = max(used, np.max(np.abs(moving.acceleration[i])) / cylinder.acceleration_limit / TOLERANCE)
-    supply = pressure + machine.pump.ls_margin if pump == "ls" else machine.pump.constant_pressure
+    supply = of_pump(pump, pressure + machine.pump.ls_margin, machine.pump.constant_pressure)
     return Measured(candidate, problem.step * hydraulics.pump_power(supply, flow, *shaft_of(machine.pump)), used <= 1.0)
 
 

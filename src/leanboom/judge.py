@@ -16,6 +16,7 @@ from leanboom import hydraulics, kinematics, limit_checks, remarks, resources
 from leanboom.errors import InputError
 from leanboom.limit_checks import PATH_TOLERANCE, TOLERANCE, LimitUse
 from leanboom.motion import Motion, headed
+from leanboom.objective import of_pump
 from leanboom.shaft import shaft_of
 from leanboom.task import Task, sample
 
@@ -68,8 +69,12 @@ class Evaluation:
         return float(self.cumulative_cp[-1])
 
     def energy(self, pump: str) -> float:
-        """Energy of the chosen pump, "ls" or "cp" [J]."""
-        return self.energy_ls if pump == "ls" else self.energy_cp
+        """Energy of the chosen pump, "ls" or "cp" [J].
+
+        Raises:
+            InputError: For any other name.
+        """
+        return float(of_pump(pump, self.cumulative_ls, self.cumulative_cp)[-1])
 
     @property
     def feasible(self) -> bool:

@@ -17,6 +17,8 @@ from leanboom import ranges
 from leanboom.errors import InputError
 from leanboom.ranges import checked, hold, listed
 
+STANDARD_GRAVITY = 9.80665  # g_n, CGPM 1901 [m/s^2]
+
 
 class Connection(Enum):
     """How a cylinder's chambers are connected to its valve, which decides the pump flow it needs."""
@@ -311,7 +313,7 @@ class Machine:
     driven_velocity: float  # epsilon of eq. (41): slower cylinders count as not driven [m/s]
     coriolis: bool = False  # centrifugal and Coriolis forces in planning (omitted in both papers)
     slewing_inertia: bool = False  # whether planning adds M11 q1'' to the base force (constant in the paper)
-    gravity: float = 9.81  # [m/s^2]
+    gravity: float = STANDARD_GRAVITY  # [m/s^2]
     circuit: Circuit = Circuit()
     provenance: tuple[Provenance, ...] = field(default=(), repr=False)
 

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
+from leanboom.errors import InputError
+
+Value = TypeVar("Value")
+
 PUMPS = ("ls", "cp")  # load-sensing, constant-pressure
 
 COSTS = {
@@ -12,3 +18,19 @@ COSTS = {
     "extension": 4,  # squared velocity of the extension cylinder [m^2/s]
     "recuperation": 5,  # CP energy with return flow reused, eq. (37), 3-DOF paper [J]
 }
+
+
+def of_pump(pump: str, ls: Value, cp: Value) -> Value:
+    """The one of two values that belongs to a pump.
+
+    Args:
+        pump: A name of `PUMPS`.
+        ls: The value of a load-sensing pump.
+        cp: The value of a constant-pressure pump.
+
+    Raises:
+        InputError: For any other name.
+    """
+    if pump not in PUMPS:
+        raise InputError(f"pump = {pump}; must be one of {', '.join(PUMPS)}")
+    return ls if pump == "ls" else cp

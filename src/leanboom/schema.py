@@ -22,6 +22,7 @@ from pydantic import (
 from pydantic_core import InitErrorDetails
 
 from leanboom import ranges
+from leanboom.machine import STANDARD_GRAVITY
 from leanboom.rules import (
     Listing,
     Name,
@@ -465,7 +466,7 @@ class MachineKeys(Section):
     """What planning takes into account."""
     simulation: CircuitKeys = CircuitKeys()
     """The hydraulics of the closed-loop simulation."""
-    gravity: Gravity = 9.80665
+    gravity: Gravity = STANDARD_GRAVITY
 
 
 class LinesKeys(Section):

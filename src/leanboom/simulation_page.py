@@ -12,6 +12,7 @@ import numpy as np
 
 from leanboom import report
 from leanboom.charts import COLOURS, PLAN_COLOUR
+from leanboom.objective import of_pump
 from leanboom.simulation import SETTLE, Simulation
 
 SUMMARY, SAMPLES, PAGE = FILES = ("simulation.json", "simulation.csv", "simulation.html")
@@ -219,9 +220,11 @@ def _data(run: Simulation) -> dict[str, Any]:
     plan, last = run.planned, run.planned.time.size - 1
     there = np.minimum(at, last)
     after = at > last
-    supply = plan.supply_ls if run.pump == "ls" else plan.supply_cp
-    power = plan.power_ls if run.pump == "ls" else plan.power_cp
-    energy = plan.cumulative_ls if run.pump == "ls" else plan.cumulative_cp
+    supply, power, energy = of_pump(
+        run.pump,
+        (plan.supply_ls, plan.power_ls, plan.cumulative_ls),
+        (plan.supply_cp, plan.power_cp, plan.cumulative_cp),
+    )
 
     def planned(values: np.ndarray, scale: float, rest: bool = False) -> np.ndarray:
         return scale * np.where(after, 0.0, values[there]) if rest else scale * values[there]
