@@ -22,8 +22,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 import leanboom as lb
-from leanboom import dp, kinematics, planner, search, stages
-from leanboom.machine import FourBar, Geometry, Linkage, Machine, Polynomial, RackAndPinion, Triangle
+from leanboom import dp, grids, kinematics, planner, search, stages, starts
+from leanboom.linkage_types import FourBar, Linkage, Polynomial, RackAndPinion, Triangle
+from leanboom.machine import Geometry, Machine
 from leanboom.motion import Motion, from_velocities
 from leanboom.task import Lines, Spline, Task
 
@@ -97,8 +98,8 @@ def has_motion(task: Task) -> bool:
     """Whether a coarse program finds a motion that keeps all limits, or nearly."""
     try:
         problem = stages.discretise(task, 0.05)
-        policy = dp.solve(problem, stages.full_grid(problem, 71, 35), "cp")
-        start = dp.start_position(problem, task.start)
+        policy = dp.solve(problem, grids.full_grid(problem, 71, 35), "cp")
+        start = starts.start_position(problem, task.start)
         found = lb.evaluate(task, dp.rollout(policy, dp.best_start(policy) if start is None else start))
         return found.feasible or found.worst_use < 1.05
     except lb.LeanboomError:
@@ -197,7 +198,7 @@ def from_random_motions(task: Task, pump: str, count: int, number: int) -> Itera
     """Motions that the search descends to from random ones: smooth courses through five random extensions."""
     rng = np.random.default_rng(number)
     problem = stages.discretise(task, 0.05)
-    start = dp.start_position(problem, task.start)
+    start = starts.start_position(problem, task.start)
     node = np.linspace(0.0, 1.0, problem.stages + 1)
     for _ in range(count):
         knots = np.linspace(0.0, 1.0, 5)

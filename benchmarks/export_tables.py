@@ -12,25 +12,25 @@ from pathlib import Path
 from scipy.io import loadmat, savemat
 
 import leanboom as lb
-from leanboom import dp, kernels, motion, stages
+from leanboom import cost_scale, grids, layout, motion, stage_arrays, stages, starts
 from leanboom.errors import InputError
 from leanboom.judge import Evaluation
 from leanboom.task import Task
 
 INFINITE = 100.0  # cost of an infeasible state, in typical costs of the task
 STAGE = {
-    "c_lo": kernels.C_LO, "dc": kernels.DC, "w_lo": kernels.W_LO, "dw": kernels.DW,
-    "fixed_flow": kernels.FIXED_FLOW, "fixed_pressure": kernels.FIXED_PRESSURE,
+    "c_lo": layout.C_LO, "dc": layout.DC, "w_lo": layout.W_LO, "dw": layout.DW,
+    "fixed_flow": layout.FIXED_FLOW, "fixed_pressure": layout.FIXED_PRESSURE,
 }  # fmt: skip
 CYLINDER = {
-    "area_out": kernels.AREA_OUT, "area_in": kernels.AREA_IN, "gain_out": kernels.GAIN_OUT,
-    "back_out": kernels.BACK_OUT, "gain_in": kernels.GAIN_IN, "back_in": kernels.BACK_IN,
-    "sharpness": kernels.SHARPNESS, "viscous": kernels.VISCOUS, "velocity_limit": kernels.V_MAX,
-    "acceleration_limit": kernels.A_MAX,
+    "area_out": layout.AREA_OUT, "area_in": layout.AREA_IN, "gain_out": layout.GAIN_OUT,
+    "back_out": layout.BACK_OUT, "gain_in": layout.GAIN_IN, "back_in": layout.BACK_IN,
+    "sharpness": layout.SHARPNESS, "viscous": layout.VISCOUS, "velocity_limit": layout.V_MAX,
+    "acceleration_limit": layout.A_MAX,
 }  # fmt: skip
 SETTING = {
-    "step": kernels.STEP, "epsilon": kernels.EPSILON, "supply_cp": kernels.SUPPLY_CP, "margin": kernels.MARGIN,
-    "efficiency": kernels.EFFICIENCY, "idle": kernels.IDLE, "leak": kernels.LEAK, "drag": kernels.DRAG,
+    "step": layout.STEP, "epsilon": layout.EPSILON, "supply_cp": layout.SUPPLY_CP, "margin": layout.MARGIN,
+    "efficiency": layout.EFFICIENCY, "idle": layout.IDLE, "leak": layout.LEAK, "drag": layout.DRAG,
 }  # fmt: skip
 COLUMNS = "a0 a1 b0 b1 b2 b3 f0 f1 f2 f3 coulomb"  # of a node's coefficients, in the order of `kernels`
 UNITS = {
@@ -54,15 +54,15 @@ def export(task: Task, pump: str, grid: tuple[int, int], step: float, file: Path
         file: Where to write; MAT-file version 5.
     """
     problem = stages.discretise(task, step)
-    start = dp.start_position(problem, task.start)
+    start = starts.start_position(problem, task.start)
     if start is None:
         raise InputError("start = best; dpm simulates forward from one start: smallest, middle or a length")
-    table = stages.tables(problem, stages.full_grid(problem, *grid), pump)
-    setting = stages.setting(problem, pump, (0.0, 0.0, 0.0, 0.0))
+    table = grids.tables(problem, grids.full_grid(problem, *grid), pump)
+    setting = stage_arrays.setting(problem, pump, (0.0, 0.0, 0.0, 0.0))
     contents = {
         "task": task.name, "pump": pump, "start": start, "velocities": float(table.velocities),
         "time": problem.time, "coefficients": table.coefficients, "outside": table.outside,
-        "infinite": INFINITE * dp.energy_scale(problem, pump),
+        "infinite": INFINITE * cost_scale.energy_scale(problem, pump),
     }  # fmt: skip
     contents |= {name: table.stage[:, column] for name, column in STAGE.items()}
     contents |= {name: table.cylinder[:, column] for name, column in CYLINDER.items()}

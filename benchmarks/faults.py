@@ -36,7 +36,7 @@ from numpy.random import Generator
 from rich.console import Console
 
 import leanboom as lb
-from leanboom import files, inspection, planner, runfolder, tables
+from leanboom import files, inspection, planner, runfolder, summaries, tables
 
 PACKAGE = Path(lb.__file__).parent
 TEXTS = {
@@ -358,7 +358,7 @@ def _plan(tally: Tally, task: lb.Task, pump: str, other: str) -> None:
     for method in ("dp", other):
         tally.counts["plans"] += 1
         plan = planner.run(task, pump=pump, method=method, grid=GRID, step=STEP, baseline=False, check=False)
-        json.dumps(runfolder.summary(plan), allow_nan=False)
+        json.dumps(summaries.summary(plan), allow_nan=False)
         told = "\n".join((plan.status, repr(plan), *plan.evaluation.notes, *plan.evaluation.violations))
         _require(len(told) < LONGEST and not _infinite(told), f"{method}, {pump}: {told[:LONGEST]}")
         if plan.solved:

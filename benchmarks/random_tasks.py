@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 import leanboom as lb
-from leanboom import dp, kinematics, planner, stages
+from leanboom import dp, grids, kinematics, planner, stages, starts
 from leanboom.task import Lines, Spline, Task
 
 METHODS = ("sns-joint", "sns-actuator", "sns-actuator-weighted", "dp1", "polish")
@@ -53,8 +53,8 @@ def has_motion(task: Task) -> bool:
     """Whether a coarse program or the pseudo-inverse finds a motion inside all limits."""
     try:
         problem = stages.discretise(task, 0.05)
-        policy = dp.solve(problem, stages.full_grid(problem, 101, 51), "cp")
-        start = dp.start_position(problem, task.start)
+        policy = dp.solve(problem, grids.full_grid(problem, 101, 51), "cp")
+        start = starts.start_position(problem, task.start)
         coarse = lb.evaluate(task, dp.rollout(policy, problem.lower[0] if start is None else start))
         return (
             coarse.feasible or planner.run(task, method="sns-actuator", baseline=False, check=False).evaluation.feasible

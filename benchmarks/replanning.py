@@ -15,7 +15,7 @@ import numpy as np
 
 import leanboom as lb
 from benchmarks.run import machine, title
-from leanboom import continuation, dp, horizon, planner, replanning, stages
+from leanboom import continuation, dp, feasible_strokes, grids, horizon, planner, replanning, stages
 
 TASK = "forwarder-half-cycle"
 HORIZONS = (1.0, 2.0, 3.0, 5.0)  # [s]
@@ -49,7 +49,7 @@ def states(motion: lb.Motion, count: int, last: float) -> list[tuple[float, floa
 def queries(problem: stages.Problem) -> None:
     title(f"Policy.control on {TASK}, 201 x 101 nodes: least / median / 99th percentile")
     for cost in PUMPS:
-        policy = dp.solve(problem, stages.full_grid(problem, 201, 101), cost)
+        policy = dp.solve(problem, grids.full_grid(problem, 201, 101), cost)
         motion = dp.rollout(policy, float(problem.lower[0]))
         asked = states(motion, 4000, problem.time[-1] - 0.1)
         policy.control(*asked[0])
@@ -83,14 +83,14 @@ def parts(task: lb.Task, plans: dict[str, lb.Motion]) -> None:
         problem = stages.discretise(continuation.rest(task, 0.0), replanning.STEP)
         search = replanning.Search(problem, cost, float(motion.position[0]), 0.0)
         seed = replanning.track(search, motion, 0.0)
-        low, high = stages.stroke_range(task)
+        low, high = feasible_strokes.stroke_range(task)
         limit = problem.crane.machine.redundant.velocity_limit
         widths = replanning.WIDTH * (high - low), replanning.SPREAD * limit
-        grid = stages.tube_grid(problem, seed.position, seed.velocity, *widths, *replanning.TUBE)
+        grid = grids.tube_grid(problem, seed.position, seed.velocity, *widths, *replanning.TUBE)
         policy = dp.solve(problem, grid, cost)
         work: dict[str, tuple[Callable[..., object], tuple]] = {
             "feasible extensions": (stages.discretise, (problem.task, replanning.STEP)),
-            "tables": (stages.tables, (problem, grid, cost)),
+            "tables": (grids.tables, (problem, grid, cost)),
             "tables and sweep": (dp.solve, (problem, grid, cost)),
             "rollout": (dp.rollout, (policy, float(seed.position[0]))),
             "judge, called twice": (lb.evaluate, (problem.task, seed)),

@@ -24,7 +24,7 @@ import numpy as np
 
 import leanboom as lb
 from benchmarks import certificate
-from leanboom import dp, dp_paper, planner, stages
+from leanboom import dp, dp_paper, grids, planner, resources, stages, starts
 from leanboom.judge import judged_cost
 
 GRID = (356, 101)
@@ -44,7 +44,7 @@ def machine() -> None:
             name = next(line.split(":")[1].strip() for line in file if line.startswith("model name"))
     except (OSError, StopIteration):
         pass
-    print(f"{name}, {os.cpu_count()} cores, {stages.threads()} threads used by kernels")
+    print(f"{name}, {os.cpu_count()} cores, {resources.threads()} threads used by kernels")
     print(f"Python {platform.python_version()}, numpy {np.__version__}, numba {numba.__version__}, {platform.system()}")
 
 
@@ -77,7 +77,7 @@ def sweep_speed() -> None:
         ours = []
         for _ in range(3):
             began = time.perf_counter()
-            dp.solve(problem, stages.full_grid(problem, *GRID), cost)
+            dp.solve(problem, grids.full_grid(problem, *GRID), cost)
             ours.append((time.perf_counter() - began) / problem.stages)
         model = dp_paper.model(task, cost)
         ahead = np.zeros((model.positions.size, model.velocities.size))
@@ -165,7 +165,7 @@ def vertical() -> None:
             )
         ]
         for grid in ((201, 101), GRID, (801, 201)):
-            policy = dp.solve(problem, stages.full_grid(problem, *grid), pump)
+            policy = dp.solve(problem, grids.full_grid(problem, *grid), pump)
             rows.append(
                 (f"dynamic program {grid[0]}x{grid[1]} alone", lb.evaluate(task, dp.rollout(policy, problem.lower[0])))
             )
@@ -193,12 +193,12 @@ def convergence() -> None:
     title("Error of the coarse dynamic program against the grid (forwarder-vertical, middle, cp; value at the start)")
     task = replace(lb.load_task("forwarder-vertical"), start="middle")
     problem = stages.discretise(task, 0.05)
-    start = dp.start_position(problem, "middle")
+    start = starts.start_position(problem, "middle")
     exact = judged_cost(planner.run(task, pump="cp", baseline=False, check=False).evaluation, "cp")
     sizes, errors = [], []
     for n in (1, 2, 4, 8, 16):
         grid = (25 * n + 1, 24 * n + 1)
-        policy = dp.solve(problem, stages.full_grid(problem, *grid), "cp")
+        policy = dp.solve(problem, grids.full_grid(problem, *grid), "cp")
         error = lb.evaluate(task, dp.rollout(policy, start)).energy_cp / exact - 1.0
         sizes.append(1.0 / n)
         errors.append(max(error, 1e-9))
@@ -231,10 +231,10 @@ def threads() -> None:
     title("Same bits on one and two threads")
     problem = stages.discretise(lb.load_task("forwarder-vertical"), 0.05)
     values = []
-    before, most = os.environ.get("LEANBOOM_THREADS"), max(2, stages.threads())
+    before, most = os.environ.get("LEANBOOM_THREADS"), max(2, resources.threads())
     for count in (1, most):
         os.environ["LEANBOOM_THREADS"] = str(count)
-        values.append(dp.solve(problem, stages.full_grid(problem, 201, 101), "ls").values)
+        values.append(dp.solve(problem, grids.full_grid(problem, 201, 101), "ls").values)
     os.environ.pop("LEANBOOM_THREADS")
     if before is not None:
         os.environ["LEANBOOM_THREADS"] = before

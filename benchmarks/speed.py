@@ -19,7 +19,7 @@ from numba import njit
 
 import leanboom as lb
 from benchmarks.run import machine, title
-from leanboom import dp, kernels, passes, stages
+from leanboom import dp, grids, kernels, layout, passes, resources, stages
 
 # Operations per state: parts that every cost has, per moving cylinder and in all.
 LIMITS, LIMITS_ALL, KEEP, FLOW, FLOW_ALL = 17, 8, 12, 6, 4
@@ -67,10 +67,10 @@ def mixed_share(policy) -> float:
     shares = []
     for k in range(0, stages_ - 1, 20):
         ahead = kernels.layer(policy.values[k + 1], t.stage, policy.setting, k + 1)
-        w = t.stage[k, kernels.W_LO] + t.stage[k, kernels.DW] * np.arange(velocities)
+        w = t.stage[k, layout.W_LO] + t.stage[k, layout.DW] * np.arange(velocities)
         for p in range(0, positions, 10):
             c, node, outside = (
-                t.stage[k, kernels.C_LO] + p * t.stage[k, kernels.DC],
+                t.stage[k, layout.C_LO] + p * t.stage[k, layout.DC],
                 t.coefficients[k, p],
                 t.outside[k, p],
             )
@@ -83,14 +83,14 @@ def operations(problem, policy) -> tuple[float, float]:
     """Operations a state, and how many velocity nodes it looks at, on average."""
     t, cost = policy.tables, policy.cost
     n, states = t.cylinder.shape[0], policy.grid.velocities
-    w = t.stage[:-1, None, kernels.W_LO] + t.stage[:-1, None, kernels.DW] * np.arange(states)
+    w = t.stage[:-1, None, layout.W_LO] + t.stage[:-1, None, layout.DW] * np.arange(states)
     node, w = t.coefficients[:-1, :, None], w[:, None, :, None]
-    b = node[..., kernels.B0] + w * (node[..., kernels.B1] + w * node[..., kernels.B2])
-    half = t.cylinder[:, kernels.A_MAX] / np.abs(node[..., kernels.B3])
-    middle = -b / node[..., kernels.B3]
+    b = node[..., layout.B0] + w * (node[..., layout.B1] + w * node[..., layout.B2])
+    half = t.cylinder[:, layout.A_MAX] / np.abs(node[..., layout.B3])
+    middle = -b / node[..., layout.B3]
     low, high = (middle - half).max(axis=-1), (middle + half).min(axis=-1)
     # A row looks at the nodes between the least and the largest control of any of its states.
-    width = (high.max(axis=-1) - low.min(axis=-1)) * problem.step / t.stage[0, kernels.DW]
+    width = (high.max(axis=-1) - low.min(axis=-1)) * problem.step / t.stage[0, layout.DW]
     nodes = float(np.minimum(width, states).mean())
     count = n * (LIMITS + FLOW) + LIMITS_ALL + KEEP + FLOW_ALL + 2 * INTERPOLATE + NODES_ALL + nodes * NODE
     if cost == "ls":
@@ -105,7 +105,7 @@ def floor() -> None:
     problem = stages.discretise(task, 0.05)
     with one_thread():
         for cost in ("cp", "ls"):
-            grid = stages.full_grid(problem, 201, 101)
+            grid = grids.full_grid(problem, 201, 101)
             policy = dp.solve(problem, grid, cost)
             table, steep = policy.tables, policy.setting
             values, terminal = policy.values.copy(), policy.values[-1].astype(float)
@@ -117,7 +117,7 @@ def floor() -> None:
                 took = min(took, least(lambda a=arrays, v=values, e=terminal: passes.sweep(*a, e, v), 1) / states)
                 speed, bandwidth = np.maximum((speed, bandwidth), rates())
             count, nodes = operations(problem, policy)
-            row = table.coefficients.shape[2] * kernels.COEFFICIENTS * 8
+            row = table.coefficients.shape[2] * layout.COEFFICIENTS * 8
             traffic = 8 + 8 + 4 + row / grid.velocities  # ahead, here, stored value, table
             floors = count / speed, traffic / bandwidth
             print(
@@ -128,7 +128,7 @@ def floor() -> None:
                 f"{traffic:.0f} bytes; floor {1e9 * max(floors):.1f} ns (arithmetic {1e9 * floors[0]:.1f}, "
                 f"memory {1e9 * floors[1]:.1f}); ratio {took / max(floors):.1f}"
             )
-            tables = least(lambda g=grid, c=cost: stages.tables(problem, g, c), 3) / (
+            tables = least(lambda g=grid, c=cost: grids.tables(problem, g, c), 3) / (
                 (problem.stages + 1) * grid.positions
             )
             print(f"    tables: {1e9 * tables:.0f} ns a node, {1e9 * tables / grid.velocities:.1f} ns a state")
@@ -150,10 +150,10 @@ class one_thread:  # noqa: N801
 def scaling() -> None:
     title("Threads: 201 x 101 x 300, ls")
     problem = stages.discretise(lb.load_task("forwarder-half-cycle"), 0.05)
-    grid = stages.full_grid(problem, 201, 101)
+    grid = grids.full_grid(problem, 201, 101)
     with one_thread():
         alone = least(lambda: dp.solve(problem, grid, "ls"), 3)
-    most = stages.threads()
+    most = resources.threads()
     shared = least(lambda: dp.solve(problem, grid, "ls"), 3)
     print(f"1 thread {alone:.3f} s; {most} threads {shared:.3f} s; {alone / shared:.2f} times as fast")
 
@@ -167,7 +167,7 @@ def growth() -> None:
         (0.05, 101, 101), (0.05, 401, 101), (0.05, 201, 51), (0.05, 201, 201),
     ):  # fmt: skip
         problem = stages.discretise(task, step)
-        grid = stages.full_grid(problem, positions, velocities)
+        grid = grids.full_grid(problem, positions, velocities)
         took = least(lambda p=problem, g=grid: dp.solve(p, g, "ls"), 2)
         states = problem.stages * grid.positions * grid.velocities
         print(f"{problem.stages:>8}{grid.positions:>11}{grid.velocities:>12}{took:>9.3f}{1e9 * took / states:>12.1f}")

@@ -7,21 +7,21 @@ many starts at once, and for a look inside.
 import numpy as np
 
 import leanboom as lb
-from leanboom import dp, kernels, stages
+from leanboom import dp, grids, layout, stages
 
 
 def main():
     task = lb.load_task("forwarder-vertical")
     problem = stages.discretise(task, 0.1)
-    policy = dp.solve(problem, stages.full_grid(problem, 121, 81), "ls")
+    policy = dp.solve(problem, grids.full_grid(problem, 121, 81), "ls")
     print(policy)
 
     # Values at rest at stage 0, over the positions of that stage's grid: the predicted cost of every start.
     first = policy.tables.stage[0]
-    positions = first[kernels.C_LO] + first[kernels.DC] * np.arange(policy.grid.positions)
+    positions = first[layout.C_LO] + first[layout.DC] * np.arange(policy.grid.positions)
     rest = policy.grid.velocities // 2  # the middle velocity node is zero
     values = policy.values[0, :, rest]
-    assert abs(first[kernels.W_LO] + rest * first[kernels.DW]) < 1e-12
+    assert abs(first[layout.W_LO] + rest * first[layout.DW]) < 1e-12
 
     print(f"{'start [m]':>10} {'predicted [kJ]':>15} {'judged [kJ]':>12}  status")
     for i in np.linspace(0, positions.size - 1, 6).astype(int):

@@ -10,7 +10,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from leanboom import dp, pseudo_inverse, stages
+from leanboom import dp, grids, pseudo_inverse, stages, starts
 from leanboom.files import bundled_machines, load_task
 from leanboom.judge import Evaluation, evaluate
 
@@ -35,11 +35,11 @@ def measure(machine: str) -> dict:
     """The golden numbers of a bundled machine."""
     task = replace(load_task(TASKS[machine]), start="middle")
     problem = stages.discretise(task, STEP)
-    start = dp.start_position(problem, task.start)
+    start = starts.start_position(problem, task.start)
     assert start is not None
     found = {}
     for cost in ("ls", "cp"):
-        policy = dp.solve(problem, stages.full_grid(problem, *GRID), cost)
+        policy = dp.solve(problem, grids.full_grid(problem, *GRID), cost)
         found[f"dp-{cost}"] = numbers(evaluate(task, dp.rollout(policy, start)))
     found["sns-actuator"] = numbers(evaluate(task, pseudo_inverse.resolve(task, start)))
     return {

@@ -10,7 +10,7 @@ import itertools
 
 import numpy as np
 
-from leanboom import cells, hydraulics, incumbent, motion, stages
+from leanboom import cells, hydraulics, incumbent, motion, stage_arrays
 from leanboom import crane as cranes
 from leanboom.stages import Problem
 
@@ -26,7 +26,7 @@ def rates(problem: Problem, pump: str, k, c, w, u) -> tuple[np.ndarray, np.ndarr
     pose = cranes.pose(crane, problem.plane[k], c)
     moving = cranes.move(pose, w, u)
     force = cranes.forces(pose, moving)
-    flow, pressure, _ = stages.prescribed(problem, pump)
+    flow, pressure, _ = stage_arrays.prescribed(problem, pump)
     flow, pressure, used = flow[k], pressure[k], np.zeros(c.shape)
     for i in range(len(machine.cylinders))[problem.moving]:
         d, v, cylinder = crane.drives[i], moving.velocity[i], machine.cylinders[i]

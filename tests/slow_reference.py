@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from leanboom import kernels
+from leanboom import kernels, layout
 
 COSTS = ("ls", "cp", "actuator", "velocity", "extension", "recuperation")  # in the order of their codes
 BESIDE = 1e-7  # corners are tried this far on either side of a switch [m/s^2]
@@ -38,10 +38,10 @@ class Small:
         return self.coefficients, self.outside, self.stage, self.cylinder, self.setting
 
     def position(self, k: int, p: int) -> float:
-        return float(self.stage[k, kernels.C_LO] + p * self.stage[k, kernels.DC])
+        return float(self.stage[k, layout.C_LO] + p * self.stage[k, layout.DC])
 
     def velocity(self, k: int, j: int) -> float:
-        return float(self.stage[k, kernels.W_LO] + j * self.stage[k, kernels.DW])
+        return float(self.stage[k, layout.W_LO] + j * self.stage[k, layout.DW])
 
 
 def along_axis(first: float, spacing: float, count: int, value: np.ndarray, slope: float):
@@ -56,8 +56,8 @@ def interpolate(small: Small, ahead: np.ndarray, k: int, c, w) -> np.ndarray:
     """Weighted mean of the four nodes around (c, w), plus what being outside the grid costs."""
     s = small.stage[k]
     c, w = np.broadcast_arrays(np.asarray(c, dtype=float), np.asarray(w, dtype=float))
-    i, x, off_c = along_axis(s[kernels.C_LO], s[kernels.DC], ahead.shape[0], c, small.setting[kernels.SLOPE_C])
-    j, y, off_w = along_axis(s[kernels.W_LO], s[kernels.DW], ahead.shape[1], w, small.setting[kernels.SLOPE_W])
+    i, x, off_c = along_axis(s[layout.C_LO], s[layout.DC], ahead.shape[0], c, small.setting[layout.SLOPE_C])
+    j, y, off_w = along_axis(s[layout.W_LO], s[layout.DW], ahead.shape[1], w, small.setting[layout.SLOPE_W])
     mean = sum(
         weight * ahead[i + di, j + dj]
         for di, dj, weight in ((0, 0, (1 - x) * (1 - y)), (0, 1, (1 - x) * y), (1, 0, x * (1 - y)), (1, 1, x * y))
@@ -68,10 +68,10 @@ def interpolate(small: Small, ahead: np.ndarray, k: int, c, w) -> np.ndarray:
 def state_of_cylinders(row: np.ndarray, w: float, u: np.ndarray):
     """Velocity, acceleration and force without friction of every cylinder, (moving, controls) each."""
     one = np.ones_like(u)
-    v = np.stack([(q[kernels.A0] + q[kernels.A1] * w) * one for q in row])
+    v = np.stack([(q[layout.A0] + q[layout.A1] * w) * one for q in row])
     powers = (1.0, w, w * w)
-    a = np.stack([sum(q[kernels.B0 + n] * powers[n] for n in range(3)) + q[kernels.B3] * u for q in row])
-    f = np.stack([sum(q[kernels.F0 + n] * powers[n] for n in range(3)) + q[kernels.F3] * u for q in row])
+    a = np.stack([sum(q[layout.B0 + n] * powers[n] for n in range(3)) + q[layout.B3] * u for q in row])
+    f = np.stack([sum(q[layout.F0 + n] * powers[n] for n in range(3)) + q[layout.F3] * u for q in row])
     return v, a, f
 
 
@@ -79,24 +79,24 @@ def power(small: Small, k: int, row: np.ndarray, w: float, u: np.ndarray) -> np.
     """What a stage costs per second for controls u, limits aside."""
     v, _, f = state_of_cylinders(row, w, u)
     s = small.setting
-    flow = np.full(u.shape, small.stage[k, kernels.FIXED_FLOW])
-    pressure = np.full(u.shape, small.stage[k, kernels.FIXED_PRESSURE])
+    flow = np.full(u.shape, small.stage[k, layout.FIXED_FLOW])
+    pressure = np.full(u.shape, small.stage[k, layout.FIXED_PRESSURE])
     work = np.zeros(u.shape)
     for i, data in enumerate(small.cylinder):
-        force = f[i] + row[i, kernels.COULOMB] * np.tanh(data[kernels.SHARPNESS] * v[i]) + data[kernels.VISCOUS] * v[i]
+        force = f[i] + row[i, layout.COULOMB] * np.tanh(data[layout.SHARPNESS] * v[i]) + data[layout.VISCOUS] * v[i]
         work += np.where(force * v[i] > 0.0, force * v[i], 0.0)
         if small.cost == "recuperation":
-            flow += v[i] * (data[kernels.PISTON] - data[kernels.ROD_SIDE])
+            flow += v[i] * (data[layout.PISTON] - data[layout.ROD_SIDE])
         else:
-            flow += np.where(v[i] > 0.0, data[kernels.AREA_OUT] * v[i], data[kernels.AREA_IN] * -v[i])
-        extending = data[kernels.GAIN_OUT] * force + data[kernels.BACK_OUT]
-        retracting = -data[kernels.GAIN_IN] * force + data[kernels.BACK_IN]
+            flow += np.where(v[i] > 0.0, data[layout.AREA_OUT] * v[i], data[layout.AREA_IN] * -v[i])
+        extending = data[layout.GAIN_OUT] * force + data[layout.BACK_OUT]
+        retracting = -data[layout.GAIN_IN] * force + data[layout.BACK_IN]
         asked = np.where(v[i] > 0.0, extending, retracting)
-        counts = (np.abs(v[i]) > s[kernels.EPSILON]) & (force * v[i] > 0.0)
+        counts = (np.abs(v[i]) > s[layout.EPSILON]) & (force * v[i] > 0.0)
         pressure = np.where(counts, np.maximum(pressure, asked), pressure)
-    supply = pressure + s[kernels.MARGIN] if small.cost == "ls" else np.full(u.shape, s[kernels.SUPPLY_CP])
-    pump = supply * flow / s[kernels.EFFICIENCY] + s[kernels.LEAK] * supply
-    pump += s[kernels.IDLE] + s[kernels.DRAG] * flow**2
+    supply = pressure + s[layout.MARGIN] if small.cost == "ls" else np.full(u.shape, s[layout.SUPPLY_CP])
+    pump = supply * flow / s[layout.EFFICIENCY] + s[layout.LEAK] * supply
+    pump += s[layout.IDLE] + s[layout.DRAG] * flow**2
     answers = {
         "ls": pump,
         "cp": pump,
@@ -105,7 +105,7 @@ def power(small: Small, k: int, row: np.ndarray, w: float, u: np.ndarray) -> np.
         "extension": np.full(u.shape, w * w),
         "recuperation": pump,
     }
-    return answers[small.cost] + small.stage[k, kernels.FIXED_COST]
+    return answers[small.cost] + small.stage[k, layout.FIXED_COST]
 
 
 def admissible(small: Small, k: int, row: np.ndarray, w: float, velocities: int) -> tuple[float, float, float]:
@@ -114,18 +114,18 @@ def admissible(small: Small, k: int, row: np.ndarray, w: float, velocities: int)
     v, a, _ = state_of_cylinders(row, w, np.zeros(1))
     low, high, cost = -np.inf, np.inf, 0.0
     for i, data in enumerate(small.cylinder):
-        cost += s[kernels.SLOPE_V] * max(0.0, abs(float(v[i, 0])) - data[kernels.V_MAX])
-        gain, rest, limit = row[i, kernels.B3], float(a[i, 0]), data[kernels.A_MAX]
+        cost += s[layout.SLOPE_V] * max(0.0, abs(float(v[i, 0])) - data[layout.V_MAX])
+        gain, rest, limit = row[i, layout.B3], float(a[i, 0]), data[layout.A_MAX]
         if abs(gain) <= kernels.MIN_GAIN:
-            cost += s[kernels.SLOPE_A] * max(0.0, abs(rest) - limit)
+            cost += s[layout.SLOPE_A] * max(0.0, abs(rest) - limit)
             continue
         ends = sorted([(-limit - rest) / gain, (limit - rest) / gain])
         low, high = max(low, ends[0]), min(high, ends[1])
     if low > high:
-        cost += s[kernels.SLOPE_A] * (low - high)
+        cost += s[layout.SLOPE_A] * (low - high)
         low = high = 0.5 * (low + high)
     # The next stage's velocity nodes, where there is a control that reaches them.
-    ts, first = s[kernels.STEP], small.velocity(k + 1, 0)
+    ts, first = s[layout.STEP], small.velocity(k + 1, 0)
     reach = (first - w) / ts, (small.velocity(k + 1, velocities - 1) - w) / ts
     if max(low, reach[0]) <= min(high, reach[1]):
         low, high = max(low, reach[0]), min(high, reach[1])
@@ -136,20 +136,20 @@ def corners(small: Small, k: int, row: np.ndarray, w: float, velocities: int) ->
     """Controls where the slope of cost plus value can change, velocity nodes and ends included."""
     low, high, _ = admissible(small, k, row, w, velocities)
     found = [low, high]
-    found += [(small.velocity(k + 1, j) - w) / small.setting[kernels.STEP] for j in range(velocities)]
+    found += [(small.velocity(k + 1, j) - w) / small.setting[layout.STEP] for j in range(velocities)]
     if small.cost in ("ls", "actuator"):
         v, _, f = state_of_cylinders(row, w, np.array([0.0, 1.0]))
-        lines = [(0.0, small.stage[k, kernels.FIXED_PRESSURE])]
+        lines = [(0.0, small.stage[k, layout.FIXED_PRESSURE])]
         for i, data in enumerate(small.cylinder):
             speed = v[i, 0]
-            force = f[i] + row[i, kernels.COULOMB] * np.tanh(data[kernels.SHARPNESS] * speed)
-            force = force + data[kernels.VISCOUS] * speed
+            force = f[i] + row[i, layout.COULOMB] * np.tanh(data[layout.SHARPNESS] * speed)
+            force = force + data[layout.VISCOUS] * speed
             if force[1] != force[0]:
                 switch = -force[0] / (force[1] - force[0])
                 found += [switch - BESIDE, switch + BESIDE]
             out = speed > 0.0
-            gain = data[kernels.GAIN_OUT] if out else -data[kernels.GAIN_IN]
-            back = data[kernels.BACK_OUT] if out else data[kernels.BACK_IN]
+            gain = data[layout.GAIN_OUT] if out else -data[layout.GAIN_IN]
+            back = data[layout.BACK_OUT] if out else data[layout.BACK_IN]
             lines.append((gain * (force[1] - force[0]), gain * force[0] + back))
         found += (
             []
@@ -167,9 +167,9 @@ def corners(small: Small, k: int, row: np.ndarray, w: float, velocities: int) ->
 
 def costs_of(small: Small, k: int, row: np.ndarray, outside: float, c: float, w: float, u: np.ndarray, ahead):
     """Stage cost with penalties plus value ahead of controls u, (controls,)."""
-    ts = small.setting[kernels.STEP]
+    ts = small.setting[layout.STEP]
     _, _, penalty = admissible(small, k, row, w, ahead.shape[1])
-    penalty += small.setting[kernels.SLOPE_C] * outside
+    penalty += small.setting[layout.SLOPE_C] * outside
     after = interpolate(small, ahead, k + 1, c + ts * w + 0.5 * ts * ts * u, w + ts * u)
     return ts * power(small, k, row, w, u) + penalty + after
 
@@ -199,7 +199,7 @@ def sweep(small: Small, fine: int = 400) -> np.ndarray:
 
 def row_at(small: Small, k: int, c: float) -> tuple[np.ndarray, float]:
     """Coefficients and distance outside at a position between nodes; beyond the ends, those of the end."""
-    nodes = small.stage[k, kernels.C_LO] + small.stage[k, kernels.DC] * np.arange(small.outside.shape[1])
+    nodes = small.stage[k, layout.C_LO] + small.stage[k, layout.DC] * np.arange(small.outside.shape[1])
     flat = small.coefficients[k].reshape(nodes.size, -1)
     row = np.array([np.interp(c, nodes, column) for column in flat.T]).reshape(small.coefficients.shape[2:])
     return row, float(np.interp(c, nodes, small.outside[k]))
@@ -207,11 +207,11 @@ def row_at(small: Small, k: int, c: float) -> tuple[np.ndarray, float]:
 
 def cost_of_controls(small: Small, c: float, w: float, controls: np.ndarray) -> float:
     """Sum of the stage costs with penalties of a motion given by its controls."""
-    ts, total = small.setting[kernels.STEP], 0.0
+    ts, total = small.setting[layout.STEP], 0.0
     for k, u in enumerate(controls):
         row, outside = row_at(small, k, c)
         _, _, penalty = admissible(small, k, row, w, small.terminal.shape[1])
         total += ts * float(power(small, k, row, w, np.array([u]))[0])
-        total += penalty + small.setting[kernels.SLOPE_C] * outside
+        total += penalty + small.setting[layout.SLOPE_C] * outside
         c, w = c + ts * w + 0.5 * ts * ts * u, w + ts * u
     return total

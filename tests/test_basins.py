@@ -8,13 +8,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from leanboom import basins, dp, kernels, stages
+from leanboom import basins, dp, grids, layout, stages, starts
 from leanboom.files import load_task
 from leanboom.task import Lines, Task
 
 STEP = 0.1  # [s]
 MIDDLE = replace(load_task("forwarder-vertical"), start="middle")
-FORCES, MOTIONS = slice(kernels.F0, kernels.F3 + 1), slice(kernels.A0, kernels.B3 + 1)
+FORCES, MOTIONS = slice(layout.F0, layout.F3 + 1), slice(layout.A0, layout.B3 + 1)
 
 
 def turned_round(task: Task) -> Task:
@@ -27,11 +27,11 @@ def turned_round(task: Task) -> Task:
 @cache
 def swept(cost: str, start: float | None) -> basins.Through:
     problem = stages.discretise(MIDDLE, STEP)
-    return basins.through(dp.solve(problem, stages.full_grid(problem, 61, 41), cost), start)
+    return basins.through(dp.solve(problem, grids.full_grid(problem, 61, 41), cost), start)
 
 
 def middle() -> float:
-    start = dp.start_position(stages.discretise(MIDDLE, STEP), "middle")
+    start = starts.start_position(stages.discretise(MIDDLE, STEP), "middle")
     assert start is not None
     return start
 
@@ -44,7 +44,7 @@ def test_tables_backward_in_time_are_those_of_the_path_driven_backward():
     tables = []
     for task in (MIDDLE, turned_round(MIDDLE)):
         problem = stages.discretise(task, STEP)
-        tables.append(stages.tables(problem, stages.full_grid(problem, 9, 5), "ls"))
+        tables.append(grids.tables(problem, grids.full_grid(problem, 9, 5), "ls"))
     ours, other = basins.backward_in_time(tables[0]), tables[1]
     size = np.abs(other.coefficients).max(axis=(0, 1, 2))
     np.testing.assert_allclose(
@@ -53,18 +53,18 @@ def test_tables_backward_in_time_are_those_of_the_path_driven_backward():
     np.testing.assert_allclose(
         ours.coefficients[..., FORCES], -other.coefficients[..., FORCES], atol=1e-7 * size[FORCES].max()
     )
-    np.testing.assert_allclose(ours.stage[:, kernels.C_LO], other.stage[:, kernels.C_LO], atol=1e-8)
+    np.testing.assert_allclose(ours.stage[:, layout.C_LO], other.stage[:, layout.C_LO], atol=1e-8)
     for one, opposite in (
-        (kernels.AREA_OUT, kernels.AREA_IN),
-        (kernels.GAIN_OUT, kernels.GAIN_IN),
-        (kernels.BACK_OUT, kernels.BACK_IN),
+        (layout.AREA_OUT, layout.AREA_IN),
+        (layout.GAIN_OUT, layout.GAIN_IN),
+        (layout.BACK_OUT, layout.BACK_IN),
     ):
         np.testing.assert_array_equal(ours.cylinder[:, one], other.cylinder[:, opposite])
 
 
 def test_turning_time_round_twice_changes_nothing():
     problem = stages.discretise(MIDDLE, STEP)
-    table = stages.tables(problem, stages.full_grid(problem, 9, 5), "ls")
+    table = grids.tables(problem, grids.full_grid(problem, 9, 5), "ls")
     again = basins.backward_in_time(basins.backward_in_time(table))
     for name in ("coefficients", "outside", "stage", "cylinder"):
         np.testing.assert_allclose(getattr(again, name), getattr(table, name), atol=1e-12)
@@ -78,7 +78,7 @@ def test_the_least_cost_through_any_stage_is_that_of_the_task_but_for_the_grid()
     spreads = []
     for size in ((31, 21), (61, 41)):
         problem = stages.discretise(MIDDLE, STEP)
-        found = basins.through(dp.solve(problem, stages.full_grid(problem, *size), "cp"), middle())
+        found = basins.through(dp.solve(problem, grids.full_grid(problem, *size), "cp"), middle())
         least = found.cost.min(axis=(1, 2))
         spreads.append(float(np.ptp(least) / np.median(least)))
     assert spreads[1] < 0.75 * spreads[0]
@@ -122,6 +122,6 @@ def least_node(found: basins.Through) -> tuple[int, float, float]:
     i, j = np.unravel_index(int(cost.argmin()), cost.shape)
     return (
         0,
-        float(stage[kernels.C_LO] + stage[kernels.DC] * i),
-        float(stage[kernels.W_LO] + stage[kernels.DW] * j),
+        float(stage[layout.C_LO] + stage[layout.DC] * i),
+        float(stage[layout.W_LO] + stage[layout.DW] * j),
     )

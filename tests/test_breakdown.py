@@ -12,7 +12,7 @@ from leanboom import kinematics, motion
 from leanboom.breakdown import Breakdown, breakdown
 from leanboom.files import load_machine, load_task
 from leanboom.judge import SAMPLE, evaluate
-from leanboom.machine import EfficiencyMap
+from leanboom.pump_types import EfficiencyMap
 from leanboom.task import Lines, Task
 
 LOADER = load_machine("loader")

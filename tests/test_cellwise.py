@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leanboom import cells, cellwise, intervals, kernels, load_task, motion, stages
+from leanboom import cells, cellwise, intervals, layout, load_task, motion, objective, stages
 from leanboom import crane as cranes
 
 
@@ -118,10 +118,10 @@ def test_smaller_cells_hold_every_state_of_the_cells_kept(problem, rng, pump):
 def test_edges_on_the_velocity_limits_stay(share, moved):
     """A threshold beside a limit moves no edge inward: states between would be in no cell."""
     limit, height, epsilon = 0.2, 0.01, 1e-4
-    model = np.zeros((1, 1, kernels.COEFFICIENTS, 4))
-    model[0, 0, kernels.A0, 0], model[0, 0, kernels.A1, 0] = epsilon + limit - share * height, 1.0
-    setting = np.zeros(kernels.SETTINGS)
-    setting[kernels.EPSILON], setting[kernels.COST] = epsilon, kernels.LS
+    model = np.zeros((1, 1, layout.COEFFICIENTS, 4))
+    model[0, 0, layout.A0, 0], model[0, 0, layout.A1, 0] = epsilon + limit - share * height, 1.0
+    setting = np.zeros(layout.SETTINGS)
+    setting[layout.EPSILON], setting[layout.COST] = epsilon, objective.LS
     edges = np.zeros((1, 41))
     cellwise.place_edges(model, setting, np.array([-limit, height, 0.0]), edges)
     plain = -limit + height * np.arange(41)

@@ -24,7 +24,7 @@ from leanboom import (
     stages,
 )
 from leanboom.cli import app
-from leanboom.machine import EfficiencyMap, Pump
+from leanboom.pump_types import EfficiencyMap, Pump
 from leanboom.task import Lines, Task
 from slow_bounds import quiet
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import leanboom as lb
-from leanboom import collocation, direct, dp, stages
+from leanboom import collocation, direct, stages, starts
 from leanboom import crane as cranes
 from leanboom.collocation import barycentric, double_integrator, interpolate, mesh, radau
 from leanboom.errors import InfeasibleError, InputError
@@ -30,7 +30,7 @@ def task() -> Task:
 
 
 def start_of(task: Task) -> float:
-    return dp.start_position(stages.discretise(task, 0.05), task.start)
+    return starts.start_position(stages.discretise(task, 0.05), task.start)
 
 
 @given(count=st.integers(2, 120))

@@ -12,7 +12,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import leanboom as lb
-from leanboom import cli, comparison, figures, jobs, motion, outcomes, planner, runfolder
+from leanboom import cli, comparison, figures, jobs, motion, outcomes, planner, summaries
 from leanboom.comparison import Entry
 from leanboom.errors import InputError, LeanboomError
 from leanboom.experiments import EXPERIMENTS
@@ -49,7 +49,7 @@ def faked(monkeypatch, task):
         if isinstance(fate, Exception):
             raise fate
         status, energy = ("solved", fate) if isinstance(fate, float) else (fate, 9e3)
-        numbers = dict.fromkeys(runfolder.KEYS, 1.0) | {"task": one.name, "method": entry.method, "cost": entry.cost}
+        numbers = dict.fromkeys(summaries.KEYS, 1.0) | {"task": one.name, "method": entry.method, "cost": entry.cost}
         # The other way round for the other pump.
         energies = {"ls": energy, "cp": 30e3 - energy}
         made = {p: numbers | {"pump": p, "status": status, "energy_j": energies[p]} for p in pumps}
@@ -103,7 +103,7 @@ def test_one_solution_serves_both_pumps(faked, task):
 def test_a_failed_method_is_a_row_without_numbers(faked, task):
     rows = {(row.label, row.pump): row for row in lb.compare(task, methods=["shooting", "dp:ls"]).rows}
     failed = rows["shooting (ls)", "cp"]
-    assert tuple(failed.summary) == runfolder.KEYS
+    assert tuple(failed.summary) == summaries.KEYS
     assert failed.status == "not converged: Maximum_Iterations_Exceeded after 300 iterations"
     assert failed.motion is None and not failed.feasible
     numbers = ("energy_j", "energy_ls_j", "energy_cp_j", "path_error_m", "solve_s", "peak_memory_bytes")
@@ -157,7 +157,7 @@ def test_json_is_a_list_of_what_plan_prints(faked):
     answer = leanboom(*"compare forwarder-vertical --json --methods dp:ls,shooting --start smallest,middle".split())
     assert answer.exit_code == 0
     rows = json.loads(answer.stdout)
-    assert len(rows) == 2 * 2 * 3 and all(tuple(row) == runfolder.KEYS for row in rows)
+    assert len(rows) == 2 * 2 * 3 and all(tuple(row) == summaries.KEYS for row in rows)
     assert {row["pump"] for row in rows} == {"ls", "cp"}
     assert "leanboom: dp (ls) from middle done: 4 of 6" in answer.stderr
 
@@ -282,7 +282,7 @@ def test_a_motion_out_of_reach_is_not_simulated(monkeypatch, task):
 
 def test_a_failed_method_is_not_simulated(faked, task):
     (row,) = lb.compare(task, "ls", methods=["shooting:ls"], simulate=True).rows
-    assert tuple(row.summary) == (*runfolder.KEYS, *comparison.SIMULATED) and row.simulated is None
+    assert tuple(row.summary) == (*summaries.KEYS, *comparison.SIMULATED) and row.simulated is None
 
 
 def test_a_program_that_did_not_converge_is_no_result(monkeypatch, task):

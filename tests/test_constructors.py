@@ -10,7 +10,9 @@ import pytest
 from leanboom import dp, ranges
 from leanboom.errors import InputError
 from leanboom.files import dump_machine, dump_task, load_task
-from leanboom.machine import Body, Friction, Geometry, Joint, Polynomial, RackAndPinion, Telescope
+from leanboom.friction import Friction
+from leanboom.linkage_types import Polynomial, RackAndPinion, Telescope
+from leanboom.machine import Body, Geometry, Joint
 from leanboom.motion import Motion, from_positions, from_velocities, make
 from leanboom.paths import Braking, Lines, Moved, Part, Spline
 from leanboom.replanning import replan

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import leanboom
 from leanboom import crane as cranes
-from leanboom import dynamics, kinematics, linkages, stages
+from leanboom import dynamics, kinematics, stages
 from leanboom.errors import InputError
 from leanboom.files import bundled_tasks, load_task
 from leanboom.task import Lines, Task, sample
@@ -228,7 +228,7 @@ def static_forces(crane, q):
     """Gravity's cylinder forces of lift, tilt and extension."""
     _, gravity = cranes.inertia_and_gravity(crane, *q)
     cylinders = crane.machine.cylinders[-3:]
-    return [g / linkages.cylinder(c.linkage, v)[1] for g, c, v in zip(gravity, cylinders, q, strict=True)]
+    return [g / c.linkage.length_arm_slope(v)[1] for g, c, v in zip(gravity, cylinders, q, strict=True)]
 
 
 def pressures(crane, forces):

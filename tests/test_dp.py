@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from leanboom import dp, kernels, motion, passes, pseudo_inverse, stages
+from leanboom import dp, grids, layout, motion, passes, pseudo_inverse, stages, starts
 from leanboom.errors import InputError
 from leanboom.files import load_task
 from leanboom.judge import evaluate, judged_cost
@@ -26,12 +26,12 @@ def short(start="middle", duration=3.0) -> Task:
 
 def solved(task: Task, cost: str, positions: int, velocities: int) -> dp.Policy:
     problem = stages.discretise(task, STEP)
-    return dp.solve(problem, stages.full_grid(problem, positions, velocities), cost)
+    return dp.solve(problem, grids.full_grid(problem, positions, velocities), cost)
 
 
 def planned(task: Task, cost: str, positions: int, velocities: int) -> motion.Motion:
     policy = solved(task, cost, positions, velocities)
-    return dp.rollout(policy, dp.start_position(policy.problem, task.start))
+    return dp.rollout(policy, starts.start_position(policy.problem, task.start))
 
 
 # Closed forms
@@ -41,19 +41,19 @@ def toy(cost: str, spacing: float, a0=None, terminal=None, *, step=0.1, count=10
     """Kernel arrays of a machine with free accelerations: v = a0[k] + 2 w, and the redundant cylinder itself."""
     half_c, half_w = 1.0, 2.0
     positions, velocities = round(2 * half_c / spacing) + 1, round(2 * half_w / spacing) + 1
-    row = np.zeros((count + 1, positions, 2, kernels.COEFFICIENTS))
-    row[:, :, 1, [kernels.A1, kernels.B3]] = 1.0
+    row = np.zeros((count + 1, positions, 2, layout.COEFFICIENTS))
+    row[:, :, 1, [layout.A1, layout.B3]] = 1.0
     if a0 is not None:
-        row[:, :, 0, kernels.A0], row[:, :, 0, kernels.A1] = a0[:, None], 2.0
-    stage = np.zeros((count + 1, kernels.STAGE_COLUMNS))
-    stage[:, kernels.C_LO], stage[:, kernels.DC] = -half_c, spacing
-    stage[:, kernels.W_LO], stage[:, kernels.DW] = -half_w, spacing
-    cylinder = np.ones((2, kernels.CYLINDER_COLUMNS))
-    cylinder[:, [kernels.V_MAX, kernels.A_MAX]] = 1e3
-    setting = np.ones(kernels.SETTINGS)
-    setting[[kernels.STEP, kernels.COST]] = step, COSTS[cost]
-    setting[[kernels.SLOPE_C, kernels.SLOPE_W, kernels.SLOPE_V, kernels.SLOPE_A]] = 1e3
-    setting[[kernels.IDLE, kernels.LEAK, kernels.DRAG]] = 0.0
+        row[:, :, 0, layout.A0], row[:, :, 0, layout.A1] = a0[:, None], 2.0
+    stage = np.zeros((count + 1, layout.STAGE_COLUMNS))
+    stage[:, layout.C_LO], stage[:, layout.DC] = -half_c, spacing
+    stage[:, layout.W_LO], stage[:, layout.DW] = -half_w, spacing
+    cylinder = np.ones((2, layout.CYLINDER_COLUMNS))
+    cylinder[:, [layout.V_MAX, layout.A_MAX]] = 1e3
+    setting = np.ones(layout.SETTINGS)
+    setting[[layout.STEP, layout.COST]] = step, COSTS[cost]
+    setting[[layout.SLOPE_C, layout.SLOPE_W, layout.SLOPE_V, layout.SLOPE_A]] = 1e3
+    setting[[layout.IDLE, layout.LEAK, layout.DRAG]] = 0.0
     c, w = np.linspace(-half_c, half_c, positions), np.linspace(-half_w, half_w, velocities)
     last = np.zeros((positions, velocities)) if terminal is None else terminal(c[:, None], w[None, :])
     values = np.empty((count + 1, positions, velocities))
@@ -105,7 +105,7 @@ def test_extension_stays_at_rest_where_that_is_feasible():
 def test_every_plan_starts_where_it_is_told_and_ends_at_rest():
     for cost in COSTS:
         found = planned(MIDDLE, cost, 51, 25)
-        assert found.position[0] == dp.start_position(stages.discretise(MIDDLE, STEP), "middle")
+        assert found.position[0] == starts.start_position(stages.discretise(MIDDLE, STEP), "middle")
         assert found.velocity[0] == 0.0
         assert found.velocity[-1] == pytest.approx(0.0, abs=1e-9)
         assert found.cost == cost and found.method == "dp"
@@ -131,7 +131,7 @@ def random_motions(problem: stages.Problem, first: float, count: int):
 def test_no_random_feasible_motion_is_cheaper(name):
     task = replace(load_task(name), start="middle")
     problem = stages.discretise(task, STEP)
-    first = dp.start_position(problem, "middle")
+    first = starts.start_position(problem, "middle")
     others = [evaluate(task, other) for other in random_motions(problem, first, 60)]
     feasible = [other for other in others if other.feasible]
     assert len(feasible) >= 15
@@ -183,10 +183,10 @@ def test_error_falls_with_the_grid_spacing_at_order_one():
 def test_value_at_the_start_predicts_the_judged_cost():
     """The value and what the rollout really costs differ by the grid's and the quadrature's error only."""
     policy = solved(MIDDLE, "cp", 201, 97)
-    start = dp.start_position(policy.problem, "middle")
+    start = starts.start_position(policy.problem, "middle")
     stage = policy.tables.stage[0]
-    column = round(-stage[kernels.W_LO] / stage[kernels.DW])
-    nodes = stage[kernels.C_LO] + stage[kernels.DC] * np.arange(201)
+    column = round(-stage[layout.W_LO] / stage[layout.DW])
+    nodes = stage[layout.C_LO] + stage[layout.DC] * np.arange(201)
     value = np.interp(start, nodes, policy.values[0, :, column])
     assert judged_cost(evaluate(MIDDLE, dp.rollout(policy, start)), "cp") == pytest.approx(value, rel=0.03)
 
@@ -197,11 +197,11 @@ def test_value_at_the_start_predicts_the_judged_cost():
 def test_starts_of_every_kind():
     problem = stages.discretise(MIDDLE, STEP)
     low, high = problem.intervals[0][0]
-    assert dp.start_position(problem, "smallest") == low
-    assert dp.start_position(problem, "middle") == pytest.approx(0.5 * (low + high), abs=1e-12)
-    assert dp.start_position(problem, "best") is None
-    assert dp.start_position(problem, 0.9) == 0.9
-    assert dp.start_position(problem, float(low)) == low
+    assert starts.start_position(problem, "smallest") == low
+    assert starts.start_position(problem, "middle") == pytest.approx(0.5 * (low + high), abs=1e-12)
+    assert starts.start_position(problem, "best") is None
+    assert starts.start_position(problem, 0.9) == 0.9
+    assert starts.start_position(problem, float(low)) == low
 
 
 def test_best_start_has_the_least_value_over_all_starts():
@@ -209,8 +209,8 @@ def test_best_start_has_the_least_value_over_all_starts():
     start = dp.best_start(policy)
     stage = policy.tables.stage[0]
     values = policy.values[0, :, 5]
-    assert stage[kernels.W_LO] + 5 * stage[kernels.DW] == pytest.approx(0.0, abs=1e-15)
-    assert start == pytest.approx(stage[kernels.C_LO] + stage[kernels.DC] * np.argmin(values))
+    assert stage[layout.W_LO] + 5 * stage[layout.DW] == pytest.approx(0.0, abs=1e-15)
+    assert start == pytest.approx(stage[layout.C_LO] + stage[layout.DC] * np.argmin(values))
     others = [evaluate(short(), dp.rollout(policy, float(s))) for s in np.linspace(*policy.problem.intervals[0][0], 9)]
     least = min(judged_cost(other, "cp") for other in others if other.feasible)
     assert judged_cost(evaluate(short(), dp.rollout(policy, start)), "cp") <= least * 1.02
@@ -220,10 +220,10 @@ def test_a_length_outside_the_feasible_extensions_is_refused_with_what_is_allowe
     problem = stages.discretise(MIDDLE, STEP)
     low, high = problem.intervals[0][0]
     with pytest.raises(InputError) as error:
-        dp.start_position(problem, 1.8499)
+        starts.start_position(problem, 1.8499)
     assert str(error.value) == f"start = 1.8499 m; feasible at the beginning of this path: {low:.4f} m to {high:.4f} m"
     with pytest.raises(InputError):
-        dp.start_position(problem, float(low) - 1e-6)
+        starts.start_position(problem, float(low) - 1e-6)
 
 
 # Gaps: a tilt range that short and long extensions fit, but none between
@@ -242,11 +242,11 @@ def gapped(start="smallest") -> Task:
 def test_extensions_in_a_gap_are_masked_by_their_distance():
     problem = stages.discretise(gapped(), STEP)
     assert all(len(intervals) == 2 for intervals in problem.intervals)
-    grid = stages.full_grid(problem, 101, 21)
-    table = stages.tables(problem, grid, "cp")
+    grid = grids.full_grid(problem, 101, 21)
+    table = grids.tables(problem, grid, "cp")
     for k in (0, 7, problem.stages):
         (_, low), (high, _) = problem.intervals[k]
-        nodes = table.stage[k, kernels.C_LO] + table.stage[k, kernels.DC] * np.arange(101)
+        nodes = table.stage[k, layout.C_LO] + table.stage[k, layout.DC] * np.arange(101)
         wanted = np.where((nodes > low) & (nodes < high), np.minimum(nodes - low, high - nodes), 0.0)
         np.testing.assert_allclose(table.outside[k], wanted, atol=1e-12)
         assert (wanted > 0.0).sum() > 3
@@ -257,7 +257,7 @@ def test_plans_stay_on_their_side_of_a_gap(side):
     task = gapped()
     problem = stages.discretise(task, STEP)
     start = float(problem.intervals[0][side].mean())
-    policy = dp.solve(problem, stages.full_grid(problem, 101, 21), "cp")
+    policy = dp.solve(problem, grids.full_grid(problem, 101, 21), "cp")
     judged = evaluate(task, dp.rollout(policy, start))
     assert judged.feasible, judged.status
     low, high = np.array([intervals[side] for intervals in problem.intervals]).T
@@ -268,16 +268,16 @@ def test_a_length_inside_a_gap_is_refused_with_both_intervals():
     problem = stages.discretise(gapped(), STEP)
     (_, low), (high, _) = problem.intervals[0]
     with pytest.raises(InputError, match=f"to {low:.4f} m or {high:.4f} m to"):
-        dp.start_position(problem, float(0.5 * (low + high)))
+        starts.start_position(problem, float(0.5 * (low + high)))
 
 
 @pytest.mark.parametrize("kind", ["smallest", "middle", "best"])
 def test_every_kind_of_start_is_feasible_beside_a_gap(kind):
     """The middle of all extensions is in the gap here."""
     problem = stages.discretise(gapped(), STEP)
-    start = dp.start_position(problem, kind)
+    start = starts.start_position(problem, kind)
     if start is None:
-        start = dp.best_start(dp.solve(problem, stages.full_grid(problem, 101, 21), "cp"))
+        start = dp.best_start(dp.solve(problem, grids.full_grid(problem, 101, 21), "cp"))
     assert any(low - 1e-9 <= start <= high + 1e-9 for low, high in problem.intervals[0])
 
 

@@ -200,9 +200,9 @@ def test_velocity_torques_are_those_of_other_libraries(ours, oracle, shares, v):
 
 def arms(crane, q):
     """Torque arms of lift, tilt and extension."""
-    from leanboom.linkages import cylinder
-
-    return np.array([cylinder(c.linkage, value)[1] for c, value in zip(crane.machine.cylinders[-3:], q, strict=True)])
+    return np.array(
+        [c.linkage.length_arm_slope(value)[1] for c, value in zip(crane.machine.cylinders[-3:], q, strict=True)]
+    )
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 from benchmarks import export_tables
 from scipy.io import loadmat, savemat
 
-from leanboom import kernels, stages
+from leanboom import grids, kernels, layout, stage_arrays, stages
 from leanboom.errors import InputError
 from leanboom.files import load_task
 from leanboom.objective import COSTS
@@ -62,15 +62,15 @@ def test_costs_from_the_file_are_those_of_the_kernels(name, pump, tmp_path, rng)
     export_tables.export(task, pump, GRID, STEP, file)
     par = loadmat(file, squeeze_me=True)
     problem = stages.discretise(task, STEP)
-    table = stages.tables(problem, stages.full_grid(problem, *GRID), pump)
-    setting = stages.setting(problem, pump, (0.0, 0.0, 0.0, 0.0))
+    table = grids.tables(problem, grids.full_grid(problem, *GRID), pump)
+    setting = stage_arrays.setting(problem, pump, (0.0, 0.0, 0.0, 0.0))
     code, checked = COSTS[pump], 0
     for k in (1, problem.stages // 2, problem.stages - 1):
-        w = table.stage[k, kernels.W_LO] + table.stage[k, kernels.DW] * np.arange(table.velocities)
+        w = table.stage[k, layout.W_LO] + table.stage[k, layout.DW] * np.arange(table.velocities)
         for p in range(GRID[0]):
-            c = np.full_like(w, table.stage[k, kernels.C_LO] + p * table.stage[k, kernels.DC])
+            c = np.full_like(w, table.stage[k, layout.C_LO] + p * table.stage[k, layout.DC])
             row = kernels.empty_row(w.size, table.coefficients.shape[2], 2)
-            node, lowest = table.coefficients[k, p], table.stage[k, kernels.FIXED_PRESSURE]
+            node, lowest = table.coefficients[k, p], table.stage[k, layout.FIXED_PRESSURE]
             kernels.limit_controls(node, table.outside[k, p], w, k, table.stage, table.cylinder, setting, row)
             kernels.charge(node, w, k, table.stage, table.cylinder, setting, code, row)
             if pump == "ls":

@@ -23,12 +23,13 @@ from leanboom.files import (
     load_machine,
     load_task,
 )
-from leanboom.linkages import cylinder
-from leanboom.machine import METERING, Connection, Machine, MobileValve, Polynomial
+from leanboom.linkage_types import Polynomial
+from leanboom.machine import METERING, Machine
 from leanboom.source import parse
 from leanboom.task import Lines, Spline, sample
 from leanboom.units import KINDS, slip, write
 from leanboom.units import parse as quantity
+from leanboom.valve_types import Connection, MobileValve
 
 
 def part(machine, name):
@@ -115,7 +116,7 @@ LENGTHS = [
 @pytest.mark.parametrize(("machine", "name", "lengths", "arms"), LENGTHS)
 def test_linkages_have_the_tabled_lengths_and_arms(machine, name, lengths, arms):
     actuator, joint = part(load_machine(machine), name)
-    length, arm, _ = cylinder(actuator.linkage, np.linspace(joint.lower, joint.upper, len(lengths)))
+    length, arm, _ = actuator.linkage.length_arm_slope(np.linspace(joint.lower, joint.upper, len(lengths)))
     np.testing.assert_allclose(length, lengths, atol=2e-5)
     np.testing.assert_allclose(arm, arms, atol=2e-5)
 
@@ -126,7 +127,7 @@ def test_every_length_change_is_the_printed_stroke(name):
     printed = {"forwarder": [0.720, 0.610, 0.725, 1.850], "loader": [0.545, 0.545, 1.040]}[name]
     assert [c.stroke for c in machine.cylinders] == printed
     for actuator, joint in zip(machine.cylinders, machine.joints, strict=True):
-        length, _, _ = cylinder(actuator.linkage, np.array([joint.lower, joint.upper]))
+        length, _, _ = actuator.linkage.length_arm_slope(np.array([joint.lower, joint.upper]))
         assert abs(length[1] - length[0]) == pytest.approx(actuator.stroke, abs=1e-4)
 
 
@@ -135,7 +136,7 @@ def test_the_quintic_of_the_tilt_linkage_is_as_close_as_stated():
     tilt, joint = part(machine, "tilt")
     quintic = Polynomial((0.002866, 0.030668, 0.126368, 0.188005, -0.255217, 0.941039))
     q = np.linspace(joint.lower, joint.upper, 501)
-    exact, fitted = cylinder(tilt.linkage, q), cylinder(quintic, q)
+    exact, fitted = tilt.linkage.length_arm_slope(q), quintic.length_arm_slope(q)
     assert np.abs(exact[0] - fitted[0]).max() == pytest.approx(0.26e-3, abs=0.02e-3)
     assert np.abs(exact[1] - fitted[1]).max() == pytest.approx(4.8e-3, abs=0.1e-3)
 
@@ -262,7 +263,7 @@ def test_a_stroke_that_is_left_out_is_the_change_of_length(tmp_path, name):
     text = "".join(line for line in dump_machine(whole).splitlines(True) if not line.startswith("    stroke:"))
     machine = load_machine(written(tmp_path, text))
     for mine, theirs, joint in zip(machine.cylinders, whole.cylinders, machine.joints, strict=True):
-        ends = [float(cylinder(mine.linkage, q)[0]) for q in (joint.lower, joint.upper)]
+        ends = [float(mine.linkage.length_arm_slope(q)[0]) for q in (joint.lower, joint.upper)]
         assert mine.stroke == pytest.approx(abs(ends[1] - ends[0]), rel=1e-12)
         assert mine.stroke == pytest.approx(theirs.stroke, abs=1e-4)
     again = dump_machine(machine)

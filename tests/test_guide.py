@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 import slow_bounds
-from leanboom import cells, certify, guide, incumbent, kernels, load_task, motion, stages
+from leanboom import cells, certify, guide, incumbent, layout, load_task, motion, stages
 from slow_bounds import quiet
 
 REACH = 0.6  # of a cell, how far from its middle differences are taken
@@ -51,10 +51,10 @@ def test_slopes_that_are_no_numbers_are_level_ones(loader):
 
 def test_the_ridge_is_the_least_value_of_every_line(rng):
     values = rng.uniform(0.0, 10.0, (7, 5)).astype(np.float32)
-    step, stage, setting = 0.3, np.zeros((1, kernels.STAGE_COLUMNS)), np.zeros(kernels.SETTINGS)
-    for column, value in ((kernels.C_LO, 1.0), (kernels.DC, 0.1), (kernels.W_LO, -0.4), (kernels.DW, 0.2)):
+    step, stage, setting = 0.3, np.zeros((1, layout.STAGE_COLUMNS)), np.zeros(layout.SETTINGS)
+    for column, value in ((layout.C_LO, 1.0), (layout.DC, 0.1), (layout.W_LO, -0.4), (layout.DW, 0.2)):
         stage[0, column] = value
-    setting[kernels.STEP] = step
+    setting[layout.STEP] = step
     line = np.linspace(1.0 - 0.5 * step * 0.4, 1.6 + 0.5 * step * 0.4, 30)
     least, next_w = np.empty(30), np.empty(30)
     guide.ridge(values, stage, setting, 0, line, least, next_w)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from leanboom import crane as cranes
-from leanboom import dp, horizon, pseudo_inverse, stages
+from leanboom import dp, grids, horizon, pseudo_inverse, stages
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.files import load_task
 from leanboom.judge import evaluate
-from leanboom.machine import MobileValve
 from leanboom.task import Moved
+from leanboom.valve_types import MobileValve
 
 TASK = replace(load_task("forwarder-vertical"), start="middle")
 QUICK = {"horizon": 1.5, "every": 0.5, "step": 0.1, "grid": (41, 21)}
@@ -33,7 +33,7 @@ def test_limits_are_kept_and_energy_lies_between_whole_path_and_pseudo_inverse(r
     today = evaluate(TASK, pseudo_inverse.resolve(TASK, float(found.position[0])))
     assert judged.energy(pump) < 0.8 * today.energy(pump)
     problem = stages.discretise(TASK, 0.1)
-    whole = evaluate(TASK, dp.rollout(dp.solve(problem, stages.full_grid(problem, 201, 101), pump), found.position[0]))
+    whole = evaluate(TASK, dp.rollout(dp.solve(problem, grids.full_grid(problem, 201, 101), pump), found.position[0]))
     assert 0.9 * whole.energy(pump) < judged.energy(pump) < 1.25 * whole.energy(pump)
 
 

@@ -12,8 +12,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from leanboom import cost_scale, interior_point, layout, motion, polish, program, stage_arrays, stages
 from leanboom import crane as cranes
-from leanboom import dp, interior_point, kernels, motion, polish, program, stages
 from leanboom.objective import COSTS
 from test_polish import TASKS, built, seed
 
@@ -63,7 +63,7 @@ def measured(stated: program.Program, x: np.ndarray) -> tuple[float, np.ndarray]
     """Cost and values of all limits at a point."""
     stages_, n = count(stated)
     point, value = shaped(stated, x), empty(stated)
-    jet = np.empty((stages_ + 1, n, 3, kernels.COEFFICIENTS))
+    jet = np.empty((stages_ + 1, n, 3, layout.COEFFICIENTS))
     program.jets(stated, point.state[:, 0], jet)
     cost = program.evaluate(stated, point, jet, np.empty((n, 3, program.DERIVATIVES)), value)
     return cost, value.every.copy()
@@ -82,7 +82,7 @@ def assembled(stated: program.Program, x: np.ndarray, slack, multiplier):
     """Newton's whole matrix and gradient over all variables, from the parts of ends and nodes."""
     stages_, n = count(stated)
     point, value = shaped(stated, x), empty(stated)
-    jet = np.empty((stages_ + 1, n, 3, kernels.COEFFICIENTS))
+    jet = np.empty((stages_ + 1, n, 3, layout.COEFFICIENTS))
     program.jets(stated, point.state[:, 0], jet)
     moved, bends = np.empty((n, 3, program.DERIVATIVES)), np.empty((n, 3))
     program.evaluate(stated, point, jet, moved, value)
@@ -168,14 +168,14 @@ def test_interpolated_coefficients_are_the_cranes(name):
     stated = stated._replace(
         table=polisher.coefficients, first=problem.lower, last=problem.upper, coulomb=polisher.coulomb
     )
-    jet = np.empty((problem.stages + 1, stated.table.shape[2], 3, kernels.COEFFICIENTS))
+    jet = np.empty((problem.stages + 1, stated.table.shape[2], 3, layout.COEFFICIENTS))
     for share in (0.0003, 0.004, 0.03, 0.2, 0.61, 0.998):
         c = problem.lower + share * (problem.upper - problem.lower)
         program.jets(stated, c, jet)
         h = 1e-5
-        exact = stages.coefficients(problem, np.stack([c - h, c, c + h], axis=1))
+        exact = stage_arrays.coefficients(problem, np.stack([c - h, c, c + h], axis=1))
         scale = np.abs(exact[:, 1]).max(axis=(0, 1)) + 1e-9
-        smooth = np.arange(kernels.COEFFICIENTS) != kernels.COULOMB
+        smooth = np.arange(layout.COEFFICIENTS) != layout.COULOMB
         close = np.where(smooth, 2e-5, 1e-4)
         assert np.all(np.abs(jet[:, :, 0] - exact[:, 1]) <= close * scale)
         slope = (exact[:, 2] - exact[:, 0]) / (2.0 * h)
@@ -189,7 +189,7 @@ def test_interpolated_coefficients_are_the_cranes(name):
 def standing(stated: program.Program, point: program.Point, slack: program.Limits) -> interior_point.Place:
     """A place with all that is known there."""
     stages_, n = count(stated)
-    place = interior_point.Place(point, np.empty((stages_ + 1, n, 3, kernels.COEFFICIENTS)), empty(stated), slack)
+    place = interior_point.Place(point, np.empty((stages_ + 1, n, 3, layout.COEFFICIENTS)), empty(stated), slack)
     program.jets(stated, point.state[:, 0], place.jet)
     program.evaluate(stated, point, place.jet, np.empty((n, 3, program.DERIVATIVES)), place.value)
     return place
@@ -336,7 +336,7 @@ def test_answer_is_ipopts(name, cost):
     mode = polish._mode_parameters(polisher, switches)
     stated = polish._program(polisher, start, switches, mode, False, (1.0, 1.0))
     guess = polish._guess(polisher, start, switches, mode)
-    unit = 1e-3 * dp.energy_scale(problem, cost)
+    unit = 1e-3 * cost_scale.energy_scale(problem, cost)
     answer, solved, _ = interior_point.minimise(stated, guess, 1e-5 * unit, 1e-10 * unit, 300)
     assert solved
     cost_here, _ = measured(stated, flat(answer))

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import fixed_quad
 
 from leanboom import crane as cranes
-from leanboom import hydraulics, kinematics
+from leanboom import hydraulic_drives, kinematics
 from leanboom.errors import InputError
 from leanboom.files import bundled_tasks, load_machine, load_task
 from leanboom.judge import SAMPLE, evaluate, hydraulic_state, judged_cost
@@ -164,7 +164,7 @@ def test_columns_fit_together(name):
     assert largest(judged.power_cp - pump.constant_pressure * judged.pump_flow) < 1e-9
     assert np.all(judged.flow >= 0.0)
     # Pressures and flows from the judged velocities and forces, cylinder by cylinder.
-    for i, d in enumerate(hydraulics.drives(task.machine)):
+    for i, d in enumerate(hydraulic_drives.drives(task.machine)):
         v, force = judged.velocity[:, i], judged.force[:, i]
         loaded = (np.abs(v) > task.machine.driven_velocity) & (v * force > 0.0)
         line = np.where(v > 0.0, d.gain_out * force + d.back_out, d.back_in - d.gain_in * force)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import slow_reference as slow
 from leanboom import crane as cranes
-from leanboom import dp, hydraulics, kernels, passes, stages
+from leanboom import dp, grids, hydraulics, kernels, layout, passes, stage_arrays, stages
 from leanboom.files import load_task
 from leanboom.objective import COSTS
 from slow_reference import Small
@@ -27,30 +27,30 @@ def problem(seed: int, cost: str, *, stages=3, positions=5, velocities=7, prescr
     """A random problem of the size of a crane's: every number different, the redundant cylinder last."""
     rng = np.random.default_rng(seed)
     shape = (stages + 1, positions, MOVING)
-    row = np.empty((*shape, kernels.COEFFICIENTS))
-    smooth = rng.normal(size=(stages + 1, 1, MOVING, kernels.COEFFICIENTS))
-    smooth = smooth + 0.1 * rng.normal(size=(stages + 1, positions, MOVING, kernels.COEFFICIENTS))
+    row = np.empty((*shape, layout.COEFFICIENTS))
+    smooth = rng.normal(size=(stages + 1, 1, MOVING, layout.COEFFICIENTS))
+    smooth = smooth + 0.1 * rng.normal(size=(stages + 1, positions, MOVING, layout.COEFFICIENTS))
     scale = np.array([0.08, 0.6, 0.08, 0.2, 0.3, 0.8, 2e4, 5e3, 5e3, 1.5e4, 3e3])
     row[:] = scale * smooth
-    row[..., kernels.COULOMB] = np.abs(row[..., kernels.COULOMB])
+    row[..., layout.COULOMB] = np.abs(row[..., layout.COULOMB])
     row[:, :, -1, :6] = (0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     if prescribed:
-        row[:, :, 0, kernels.B3] = 0.0
-    stage = np.empty((stages + 1, kernels.STAGE_COLUMNS))
-    stage[:, kernels.C_LO] = 0.4 + 0.01 * rng.random(stages + 1)
-    stage[:, kernels.DC] = 0.02 + 0.01 * rng.random(stages + 1)
-    stage[:, kernels.W_LO] = -0.2 - 0.02 * rng.random(stages + 1)
-    stage[:, kernels.DW] = 0.06 + 0.01 * rng.random()
-    stage[:, kernels.FIXED_FLOW] = 1e-3 * rng.random(stages + 1)
-    stage[:, kernels.FIXED_PRESSURE] = 4e6 * rng.random(stages + 1) * rng.integers(0, 2)
-    stage[:, kernels.FIXED_COST] = 300.0 * rng.random(stages + 1)
+        row[:, :, 0, layout.B3] = 0.0
+    stage = np.empty((stages + 1, layout.STAGE_COLUMNS))
+    stage[:, layout.C_LO] = 0.4 + 0.01 * rng.random(stages + 1)
+    stage[:, layout.DC] = 0.02 + 0.01 * rng.random(stages + 1)
+    stage[:, layout.W_LO] = -0.2 - 0.02 * rng.random(stages + 1)
+    stage[:, layout.DW] = 0.06 + 0.01 * rng.random()
+    stage[:, layout.FIXED_FLOW] = 1e-3 * rng.random(stages + 1)
+    stage[:, layout.FIXED_PRESSURE] = 4e6 * rng.random(stages + 1) * rng.integers(0, 2)
+    stage[:, layout.FIXED_COST] = 300.0 * rng.random(stages + 1)
     a, b = 0.008 + 0.004 * rng.random(MOVING), 0.004 + 0.003 * rng.random(MOVING)
-    cylinder = np.empty((MOVING, kernels.CYLINDER_COLUMNS))
+    cylinder = np.empty((MOVING, layout.CYLINDER_COLUMNS))
     columns = [a, b * rng.integers(0, 2, MOVING), 1.1 / a, 3e6 * rng.random(MOVING), 1.2 / b, 3e6 * rng.random(MOVING),
                100.0 + 900.0 * rng.random(MOVING), 2e3 * rng.random(MOVING), 0.1 + 0.2 * rng.random(MOVING),
                0.3 + 0.4 * rng.random(MOVING), a, b]  # fmt: skip
     cylinder[:] = np.array(columns).T
-    cylinder[:, kernels.A_MAX] *= rng.choice([0.2, 1.0])  # every other problem: limits that may exclude each other
+    cylinder[:, layout.A_MAX] *= rng.choice([0.2, 1.0])  # every other problem: limits that may exclude each other
     setting = np.array([0.1, COSTS[cost], 0.002, 2e7, 2e6, 0.8, 4e3, 5e2, 6e2, 7e1, 3e2, 4e-5, 5e8])
     c = np.linspace(0.0, 1.0, positions)[:, None]
     w = np.linspace(-1.0, 1.0, velocities)[None, :]
@@ -106,8 +106,8 @@ def test_interpolation_is_exact_on_nodes(seed):
 def test_interpolation_is_exact_for_bilinear_functions_between_nodes(seed, x, y):
     small = problem(seed, "cp")
     a, b, d, e = np.random.default_rng(seed).normal(size=4)
-    c = small.position(2, 0) + small.stage[2, kernels.DC] * np.arange(small.terminal.shape[0])
-    w = small.velocity(2, 0) + small.stage[2, kernels.DW] * np.arange(small.terminal.shape[1])
+    c = small.position(2, 0) + small.stage[2, layout.DC] * np.arange(small.terminal.shape[0])
+    w = small.velocity(2, 0) + small.stage[2, layout.DW] * np.arange(small.terminal.shape[1])
     values = a + b * c[:, None] + d * w[None, :] + e * c[:, None] * w[None, :]
     c, w = c[0] + x * (c[-1] - c[0]), w[0] + y * (w[-1] - w[0])
     assert at(small, values, 2, c, w) == pytest.approx(a + b * c + d * w + e * c * w, abs=1e-12)
@@ -120,7 +120,7 @@ def test_interpolation_outside_is_the_edge_plus_a_slope_times_the_distance(seed,
     first_c, last_c = small.position(0, 0), small.position(0, values.shape[0] - 1)
     first_w, last_w = small.velocity(0, 0), small.velocity(0, values.shape[1] - 1)
     c, w = first_c + x * (last_c - first_c), first_w + y * (last_w - first_w)
-    steep_c, steep_w = small.setting[[kernels.SLOPE_C, kernels.SLOPE_W]]
+    steep_c, steep_w = small.setting[[layout.SLOPE_C, layout.SLOPE_W]]
     for edge, sign in ((first_c, -1.0), (last_c, 1.0)):
         found = at(small, values, 0, edge + sign * far, w)
         assert found == pytest.approx(at(small, values, 0, edge, w) + far * steep_c, abs=1e-7)
@@ -135,8 +135,8 @@ def test_interpolation_outside_is_the_edge_plus_a_slope_times_the_distance(seed,
 def test_interpolation_equals_its_twin(seed, x, y):
     small = problem(seed, "cp")
     values = np.random.default_rng(seed).normal(size=small.terminal.shape)
-    c = small.position(1, 0) + x * small.stage[1, kernels.DC] * (values.shape[0] - 1)
-    w = small.velocity(1, 0) + y * small.stage[1, kernels.DW] * (values.shape[1] - 1)
+    c = small.position(1, 0) + x * small.stage[1, layout.DC] * (values.shape[0] - 1)
+    w = small.velocity(1, 0) + y * small.stage[1, layout.DW] * (values.shape[1] - 1)
     assert at(small, values, 1, c, w) == pytest.approx(float(slow.interpolate(small, values, 1, c, w)), abs=1e-9)
 
 
@@ -150,15 +150,15 @@ def test_corners_are_exact_where_the_value_ahead_is_piecewise_linear(cost, seed,
     """With a value affine in position, cost over control is piecewise linear: no fine set of controls finds less."""
     small = problem(seed, cost, prescribed=prescribed)
     rng = np.random.default_rng(seed)
-    line = small.stage[2, kernels.C_LO] + small.stage[2, kernels.DC] * np.arange(5)
+    line = small.stage[2, layout.C_LO] + small.stage[2, layout.DC] * np.arange(5)
     ahead = 500.0 * rng.normal() * line[:, None] + 100.0 * rng.normal(size=7)[None, :]
-    small = replace(small, setting=np.where(np.arange(kernels.SETTINGS) == kernels.SLOPE_C, 0.0, small.setting))
-    c = small.position(1, 0) + (0.3 + 0.4 * x) * small.stage[1, kernels.DC] * 4
-    w = small.velocity(1, 0) + y * small.stage[1, kernels.DW] * 6
+    small = replace(small, setting=np.where(np.arange(layout.SETTINGS) == layout.SLOPE_C, 0.0, small.setting))
+    c = small.position(1, 0) + (0.3 + 0.4 * x) * small.stage[1, layout.DC] * 4
+    w = small.velocity(1, 0) + y * small.stage[1, layout.DW] * 6
     row = small.coefficients[1, 2]
     # Inside the grid ahead, so that its edges add no corner.
-    small.stage[2, kernels.C_LO] = c + 0.1 * w - 0.06
-    small.stage[2, kernels.DC] = 0.03
+    small.stage[2, layout.C_LO] = c + 0.1 * w - 0.06
+    small.stage[2, layout.DC] = 0.03
     value, u = best(small, 1, row, 0.0, c, w, ahead)
     wanted, _ = slow.least(small, 1, row, 0.0, c, w, ahead, fine=2000)
     scale = 1.0 + np.abs(ahead).max() + abs(wanted)
@@ -173,12 +173,12 @@ def test_the_pressure_of_prescribed_cylinders_is_used_up_but_not_exceeded():
     One cylinder at 0.1 m/s: force 10 kN + 50 kN s^2/m u on 0.01 m^2, so 1 MPa at rest and 2 MPa at 0.2 m/s^2; flow
     1 l/s, so a stage of 0.1 s costs 0.1 x (2 + 3) MPa x 1 l/s = 500 J. The value ahead falls by 100 J per m/s.
     """
-    row = np.zeros((1, kernels.COEFFICIENTS))
-    row[0, [kernels.A1, kernels.B3, kernels.F0, kernels.F3]] = 1.0, 1.0, 1e4, 5e4
-    stage = np.zeros((2, kernels.STAGE_COLUMNS))
-    stage[:, [kernels.DC, kernels.W_LO, kernels.DW, kernels.FIXED_PRESSURE]] = 1.0, -1.0, 1.95, 2e6
-    cylinder = np.zeros((1, kernels.CYLINDER_COLUMNS))
-    cylinder[0, [kernels.AREA_OUT, kernels.GAIN_OUT, kernels.V_MAX, kernels.A_MAX]] = 0.01, 100.0, 1.0, 1.0
+    row = np.zeros((1, layout.COEFFICIENTS))
+    row[0, [layout.A1, layout.B3, layout.F0, layout.F3]] = 1.0, 1.0, 1e4, 5e4
+    stage = np.zeros((2, layout.STAGE_COLUMNS))
+    stage[:, [layout.DC, layout.W_LO, layout.DW, layout.FIXED_PRESSURE]] = 1.0, -1.0, 1.95, 2e6
+    cylinder = np.zeros((1, layout.CYLINDER_COLUMNS))
+    cylinder[0, [layout.AREA_OUT, layout.GAIN_OUT, layout.V_MAX, layout.A_MAX]] = 0.01, 100.0, 1.0, 1.0
     setting = np.array([0.1, COSTS["ls"], 0.002, 2e7, 3e6, 1.0, *[0.0] * 7])
     ahead = -100.0 * np.array([[-1.0, 0.95], [-1.0, 0.95]])
     value, u = best_of_one(row, 0.0, 0.5, 0.1, 0, stage, cylinder, setting, ahead)
@@ -193,16 +193,16 @@ def test_settled_states_cost_one_line_over_their_controls(cost):
     for seed in range(12):
         small = problem(seed, cost)
         k, (positions, velocities) = 1, small.terminal.shape
-        w = small.velocity(k, 0) + small.stage[k, kernels.DW] * np.arange(velocities)
+        w = small.velocity(k, 0) + small.stage[k, layout.DW] * np.arange(velocities)
         ahead = kernels.layer(np.zeros_like(small.terminal), small.stage, small.setting, k + 1)
-        code, lowest = COSTS[cost], small.stage[k, kernels.FIXED_PRESSURE]
+        code, lowest = COSTS[cost], small.stage[k, layout.FIXED_PRESSURE]
         for p in range(positions):
             row = kernels.empty_row(velocities, small.cylinder.shape[0], velocities)
             node, c = small.coefficients[k, p], small.position(k, p)
             kernels.best_controls(node, 0.0, c, w, k, small.stage, small.cylinder, small.setting, ahead, row)
             base, slope = row.state[kernels.BASE].copy(), row.state[kernels.SLOPE].copy()
             kernels.limit_controls(node, 0.0, w, k, small.stage, small.cylinder, small.setting, row)
-            kernels.keep_to_nodes(w, ahead, small.setting[kernels.STEP], row)
+            kernels.keep_to_nodes(w, ahead, small.setting[layout.STEP], row)
             kernels.charge(node, w, k, small.stage, small.cylinder, small.setting, code, row)
             for j in range(velocities):
                 u = np.linspace(row.state[kernels.LOW, j], row.state[kernels.HIGH, j], 401)
@@ -221,9 +221,9 @@ def test_settled_states_cost_one_line_over_their_controls(cost):
 
 def corner_error(small: Small, k: int, ahead: np.ndarray) -> float:
     """What corners may miss: the value ahead bends in position by this much within one velocity interval."""
-    slope = np.diff(ahead, axis=0) / small.stage[k + 1, kernels.DC]
-    steepest = max(small.setting[kernels.SLOPE_C], float(np.abs(slope).max()))
-    return small.setting[kernels.STEP] * small.stage[k + 1, kernels.DW] * steepest
+    slope = np.diff(ahead, axis=0) / small.stage[k + 1, layout.DC]
+    steepest = max(small.setting[layout.SLOPE_C], float(np.abs(slope).max()))
+    return small.setting[layout.STEP] * small.stage[k + 1, layout.DW] * steepest
 
 
 @COST
@@ -267,14 +267,14 @@ def test_bellman_residual_of_stored_values_is_zero(cost, seed):
 def enumerable(seed: int, cost: str) -> Small:
     """Nodes reach nodes exactly: positions half a velocity step times Ts apart, the grid wide enough to stay in."""
     small = problem(seed, cost, stages=4, positions=17, velocities=3)
-    ts, dw = small.setting[kernels.STEP], 0.1
+    ts, dw = small.setting[layout.STEP], 0.1
     stage = small.stage.copy()
-    stage[:, kernels.W_LO], stage[:, kernels.DW] = -dw, dw
-    stage[:, kernels.DC], stage[:, kernels.C_LO] = 0.5 * ts * dw, 0.5
+    stage[:, layout.W_LO], stage[:, layout.DW] = -dw, dw
+    stage[:, layout.DC], stage[:, layout.C_LO] = 0.5 * ts * dw, 0.5
     row = small.coefficients.copy()
     # Controls as free as the velocity nodes: only those corners are left, as stage costs do not depend on u.
     cylinder = small.cylinder.copy()
-    cylinder[:, kernels.A_MAX] = 1e3
+    cylinder[:, layout.A_MAX] = 1e3
     terminal = np.random.default_rng(seed).normal(size=small.terminal.shape) * 50.0
     return replace(small, stage=stage, coefficients=row, cylinder=cylinder, terminal=terminal)
 
@@ -286,7 +286,7 @@ def test_sweep_and_rollout_equal_enumeration_on_a_tiny_grid(cost, seed):
     """All 3^4 sequences of velocity nodes from one state: the least is the value, and the rollout takes it."""
     small = enumerable(seed, cost)
     values = swept(small)
-    ts, dw = small.setting[kernels.STEP], 0.1
+    ts, dw = small.setting[layout.STEP], 0.1
     start_p, start_j = 8, 1
     c, w = small.position(0, start_p), small.velocity(0, start_j)
     found = {}
@@ -296,7 +296,7 @@ def test_sweep_and_rollout_equal_enumeration_on_a_tiny_grid(cost, seed):
             row = small.coefficients[k, p]
             total += ts * float(slow.power(small, k, row, (j - 1) * dw, np.zeros(1))[0])
             total += slow.admissible(small, k, row, (j - 1) * dw, 3)[2]
-            total += small.setting[kernels.SLOPE_C] * small.outside[k, p]
+            total += small.setting[layout.SLOPE_C] * small.outside[k, p]
             p, j = p + (j - 1) + (after - 1), after
         found[sequence] = total + small.terminal[p, j]
     least = min(found.values())
@@ -310,12 +310,12 @@ def test_sweep_and_rollout_equal_enumeration_on_a_tiny_grid(cost, seed):
 
 def test_value_of_a_problem_worked_out_by_hand():
     """Two stages of 1 s, one cylinder of 1 m^2 both ways, 3 Pa: 2 m/s costs 6 J; stopping takes one stage."""
-    row = np.zeros((3, 2, 1, kernels.COEFFICIENTS))
-    row[..., kernels.A1] = row[..., kernels.B3] = 1.0
-    stage = np.zeros((3, kernels.STAGE_COLUMNS))
-    stage[:, kernels.DC], stage[:, kernels.W_LO], stage[:, kernels.DW] = 100.0, -2.0, 1.0
-    cylinder = np.ones((1, kernels.CYLINDER_COLUMNS))
-    cylinder[0, [kernels.V_MAX, kernels.A_MAX]] = 10.0, 1.0
+    row = np.zeros((3, 2, 1, layout.COEFFICIENTS))
+    row[..., layout.A1] = row[..., layout.B3] = 1.0
+    stage = np.zeros((3, layout.STAGE_COLUMNS))
+    stage[:, layout.DC], stage[:, layout.W_LO], stage[:, layout.DW] = 100.0, -2.0, 1.0
+    cylinder = np.ones((1, layout.CYLINDER_COLUMNS))
+    cylinder[0, [layout.V_MAX, layout.A_MAX]] = 10.0, 1.0
     setting = np.array([1.0, COSTS["cp"], 0.0, 3.0, 0.0, 1.0, 0.0, 100.0, 100.0, 100.0, 0.0, 0.0, 0.0])
     terminal = 100.0 * np.abs(np.arange(-2.0, 3.0))[None, :].repeat(2, axis=0)
     small = Small(row, np.zeros((3, 2)), stage, cylinder, setting, terminal, "cp")
@@ -332,11 +332,11 @@ def test_value_of_a_problem_worked_out_by_hand():
 def test_rollout_integrates_exactly_and_takes_the_best_control_at_every_state(cost, seed, x, y):
     small = problem(seed, cost, stages=5)
     values = swept(small)
-    c = small.position(0, 0) + x * 4 * small.stage[0, kernels.DC]
-    w = small.velocity(0, 0) + y * 6 * small.stage[0, kernels.DW]
+    c = small.position(0, 0) + x * 4 * small.stage[0, layout.DC]
+    w = small.velocity(0, 0) + y * 6 * small.stage[0, layout.DW]
     position, velocity, control = np.full(6, np.nan), np.full(6, np.nan), np.full(5, np.nan)
     total = passes.rollout(*small.arrays, values, np.array([c, w]), 0, position, velocity, control)
-    ts = small.setting[kernels.STEP]
+    ts = small.setting[layout.STEP]
     assert (position[0], velocity[0]) == (c, w)
     np.testing.assert_allclose(position[1:], position[:-1] + ts * velocity[:-1] + 0.5 * ts**2 * control, rtol=1e-14)
     np.testing.assert_allclose(velocity[1:], velocity[:-1] + ts * control, rtol=1e-12, atol=1e-15)
@@ -364,18 +364,18 @@ def test_ties_go_to_the_candidate_tried_first():
     """Nothing costs anything: the lower end of the admissible controls is tried first and kept."""
     small = problem(1, "cp", prescribed=True)
     setting, cylinder = small.setting.copy(), small.cylinder.copy()
-    setting[[kernels.SUPPLY_CP, kernels.SLOPE_W, kernels.SLOPE_C]] = 0.0
-    cylinder[:, kernels.A_MAX] = 1e3  # the redundant cylinder alone limits the control
-    cylinder[-1, kernels.A_MAX] = 0.25
+    setting[[layout.SUPPLY_CP, layout.SLOPE_W, layout.SLOPE_C]] = 0.0
+    cylinder[:, layout.A_MAX] = 1e3  # the redundant cylinder alone limits the control
+    cylinder[-1, layout.A_MAX] = 0.25
     small = replace(small, setting=setting, cylinder=cylinder)
     ahead = np.full((5, 7), 3.0)
     value, u = best(small, 1, small.coefficients[1, 2], 0.0, small.position(1, 2), 0.0, ahead)
     assert u == -0.25
     # Velocity nodes come after both ends, lowest first.
     ahead[:, [2, 4]] = 1.0
-    cylinder[-1, kernels.A_MAX] = 1e3
+    cylinder[-1, layout.A_MAX] = 1e3
     _, u = best(small, 1, small.coefficients[1, 2], 0.0, small.position(1, 2), 0.0, ahead)
-    assert u * setting[kernels.STEP] == pytest.approx(small.velocity(2, 2), abs=1e-12)
+    assert u * setting[layout.STEP] == pytest.approx(small.velocity(2, 2), abs=1e-12)
 
 
 @COST
@@ -411,20 +411,20 @@ def test_stage_cost_on_a_node_is_the_cost_by_the_crane_formulas(name, cost):
     """The control is pinned by a grid ahead with one tiny velocity interval, and the value ahead is zero."""
     task = load_task(name)
     problem = stages.discretise(task, 0.5)
-    grid = stages.full_grid(problem, 9, 5)
-    table = stages.tables(problem, grid, cost)
+    grid = grids.full_grid(problem, 9, 5)
+    table = grids.tables(problem, grid, cost)
     machine, crane = task.machine, problem.crane
-    setting = stages.setting(problem, cost, (0.0, 0.0, 0.0, 0.0))
+    setting = stage_arrays.setting(problem, cost, (0.0, 0.0, 0.0, 0.0))
     rng = np.random.default_rng(11)
     moving = range(len(machine.cylinders))[problem.moving]
-    driven = stages.HELD * machine.driven_velocity
+    driven = stage_arrays.HELD * machine.driven_velocity
     counted = 0
     for _ in range(150):
         k, p = int(rng.integers(problem.stages)), int(rng.integers(9))
         w, u = rng.uniform(-0.3, 0.3), rng.uniform(-0.3, 0.3)
-        c = float(table.stage[k, kernels.C_LO] + p * table.stage[k, kernels.DC])
+        c = float(table.stage[k, layout.C_LO] + p * table.stage[k, layout.DC])
         stage = table.stage.copy()
-        stage[k + 1, [kernels.W_LO, kernels.DW]] = w + problem.step * u, 1e-12
+        stage[k + 1, [layout.W_LO, layout.DW]] = w + problem.step * u, 1e-12
         pose = cranes.pose(crane, problem.plane[k], c)
         state = cranes.move(pose, w, u)
         if any(abs(state.acceleration[i]) > machine.cylinders[i].acceleration_limit for i in moving):

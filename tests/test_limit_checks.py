@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leanboom import dp, inspection, limit_checks, resources, stages
+from leanboom import dp, feasible_strokes, grids, inspection, limit_checks, resources, stages
 from leanboom.comparison import compare
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.files import load_task
@@ -212,7 +212,7 @@ def test_haste_is_what_the_best_motion_of_the_extension_needs():
     time = np.linspace(0.5, 5.5, 9)
     crane = cranes.build(VERTICAL)
     plane = cranes.plane(VERTICAL.machine, sample(VERTICAL, time))
-    ends = stages.feasible_strokes(VERTICAL, crane, plane, time)
+    ends = feasible_strokes.feasible_strokes(VERTICAL, crane, plane, time)
     low, high = (np.array([each.ravel()[i] for each in ends]) for i in (0, -1))
     found = inspection.least_haste(crane, plane, low, high)
     strokes = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, 33)
@@ -266,7 +266,7 @@ def test_the_estimated_memory_is_what_measuring_takes():
 def test_a_rollout_without_a_way_on_stays_finite():
     """From a velocity a thousand times the limit the look-ahead runs away; its motion is infeasible and finite."""
     problem = stages.discretise(VERTICAL, 0.1)
-    policy = dp.solve(problem, stages.full_grid(problem, 21, 21), "cp")
+    policy = dp.solve(problem, grids.full_grid(problem, 21, 21), "cp")
     motion = dp.rollout(policy, 0.7, velocity=1e3)
     assert isinstance(motion, Motion) and np.isfinite(motion.position).all()
     judged = evaluate(VERTICAL, motion)

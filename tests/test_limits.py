@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leanboom import limits, motion
+from leanboom import limits, motion, starts
 from leanboom.files import load_task
 from leanboom.judge import evaluate
 
@@ -16,9 +16,9 @@ from leanboom.judge import evaluate
 def judged():
     """The forwarder's vertical path from the shortest extension, then held: tilt starts at an end of its stroke."""
     task = load_task("forwarder-vertical")
-    from leanboom import dp, stages
+    from leanboom import stages
 
-    start = dp.start_position(stages.discretise(task, 0.05), "smallest")
+    start = starts.start_position(stages.discretise(task, 0.05), "smallest")
     return evaluate(task, motion.from_velocities(0.1, start, np.zeros(61), "dp", "ls"))
 
 

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leanboom.files import load_machine
-from leanboom.linkages import cylinder
-from leanboom.machine import Polynomial, RackAndPinion, Telescope
+from leanboom.linkage_types import Polynomial, RackAndPinion, Telescope
 
 MACHINES = {name: load_machine(name) for name in ("forwarder", "loader")}
 # The quintic of eq. (14) fitted to the forwarder's tilt linkage, s5 to s0.
@@ -69,7 +68,7 @@ LINKAGES = (
 def test_lengths_and_arms_worked_out_elsewhere(machine, joint, lengths, arms):
     """Equally spaced over the range, to the last digit given (the pins in the files are rounded, too)."""
     linkage, lower, upper = part(MACHINES[machine], joint)
-    c, r, _ = cylinder(linkage, np.linspace(lower, upper, len(lengths)))
+    c, r, _ = linkage.length_arm_slope(np.linspace(lower, upper, len(lengths)))
     assert c == pytest.approx(lengths, abs=6e-6)
     assert r == pytest.approx(arms, abs=6e-6)
 
@@ -86,7 +85,7 @@ def test_lengths_and_arms_worked_out_elsewhere(machine, joint, lengths, arms):
 def test_largest_arm_is_where_the_slope_vanishes(machine, joint, largest, at):
     linkage, lower, upper = part(MACHINES[machine], joint)
     q = np.linspace(lower, upper, 4001)
-    _, r, s = cylinder(linkage, q)
+    _, r, s = linkage.length_arm_slope(q)
     best = np.abs(r).argmax()
     assert abs(r[best]) == pytest.approx(largest, abs=5e-4)
     assert q[best] == pytest.approx(at, abs=6e-3)
@@ -98,7 +97,7 @@ def test_lengths_change_by_the_printed_strokes(name):
     machine = MACHINES[name]
     printed = {"forwarder": (0.72, 0.61, 0.725, 1.85), "loader": (0.545, 0.545, 1.04)}[name]
     for c, joint, stroke in zip(machine.cylinders, machine.joints, printed, strict=True):
-        ends, _, _ = cylinder(c.linkage, np.array([joint.lower, joint.upper]))
+        ends, _, _ = c.linkage.length_arm_slope(np.array([joint.lower, joint.upper]))
         assert abs(ends[1] - ends[0]) == pytest.approx(stroke, abs=1e-4)
 
 
@@ -107,7 +106,9 @@ def test_lengths_change_by_the_printed_strokes(name):
 def test_arm_and_slope_are_the_derivatives_of_the_length(linkage, lower, upper, share):
     q = lower + share * (upper - lower)
     h = 1e-4
-    (before, r_before, _), (_, r, s), (after, r_after, _) = (cylinder(linkage, q + k * h) for k in (-1.0, 0.0, 1.0))
+    (before, r_before, _), (_, r, s), (after, r_after, _) = (
+        linkage.length_arm_slope(q + k * h) for k in (-1.0, 0.0, 1.0)
+    )
     assert r == pytest.approx((after - before) / (2.0 * h), abs=5e-8)
     assert s == pytest.approx((r_after - r_before) / (2.0 * h), abs=5e-7)
 
@@ -115,9 +116,9 @@ def test_arm_and_slope_are_the_derivatives_of_the_length(linkage, lower, upper, 
 @pytest.mark.parametrize(("linkage", "lower", "upper"), LINKAGES)
 def test_arrays_go_through_like_numbers(linkage, lower, upper):
     q = np.linspace(lower, upper, 7).reshape(7, 1)
-    together = cylinder(linkage, q)
+    together = linkage.length_arm_slope(q)
     for value, one in zip(np.array(together).reshape(3, 7).T, q[:, 0], strict=True):
-        assert tuple(value) == pytest.approx(cylinder(linkage, one), rel=1e-14, abs=1e-15)
+        assert tuple(value) == pytest.approx(linkage.length_arm_slope(one), rel=1e-14, abs=1e-15)
     assert {value.shape for value in together} == {(7, 1)}
 
 
@@ -139,7 +140,7 @@ def test_four_bar_is_that_of_its_drawing(share):
     pin = k.L23 * np.array([cos(q + k.a22), sin(q + k.a22)])  # of the coupler, on the outer boom
     rear = pivot + k.L21 * np.array([cos(pi - k.b21), sin(pi - k.b21)])  # of the cylinder, on the boom
     lever_end = crossing(pivot, k.L25, pin, k.L24)
-    assert cylinder(k, q)[0] == pytest.approx(np.hypot(*(lever_end - rear)), abs=1e-12)
+    assert k.length_arm_slope(q)[0] == pytest.approx(np.hypot(*(lever_end - rear)), abs=1e-12)
 
 
 def test_triangle_is_the_distance_of_its_pins():
@@ -148,7 +149,7 @@ def test_triangle_is_the_distance_of_its_pins():
     for q in (-0.4, 0.3, 1.0):
         column = k.long * np.array([cos(-k.angle), sin(-k.angle)])
         boom = k.short * np.array([cos(q), sin(q)])
-        assert cylinder(k, q)[0] == pytest.approx(np.hypot(*(boom - column)), rel=1e-14)
+        assert k.length_arm_slope(q)[0] == pytest.approx(np.hypot(*(boom - column)), rel=1e-14)
     assert k.angle == pytest.approx(pi / 2 - 0.595237, abs=1e-6)  # b11 + b12 of eq. (13)
 
 
@@ -156,7 +157,7 @@ def test_quintic_is_as_close_to_the_four_bar_as_stated():
     """0.26 mm in length, 4.8 mm in the arm near the ends: why the exact linkage is the default."""
     linkage, lower, upper = part(MACHINES["forwarder"], "tilt")
     q = np.linspace(lower, upper, 2001)
-    exact, fitted = cylinder(linkage, q), cylinder(QUINTIC, q)
+    exact, fitted = linkage.length_arm_slope(q), QUINTIC.length_arm_slope(q)
     assert np.abs(fitted[0] - exact[0]).max() == pytest.approx(0.26e-3, abs=0.01e-3)
     error = np.abs(fitted[1] - exact[1])
     assert error.max() == pytest.approx(4.8e-3, abs=0.1e-3)
@@ -164,5 +165,5 @@ def test_quintic_is_as_close_to_the_four_bar_as_stated():
 
 
 def test_polynomials_are_written_highest_power_first():
-    c, r, s = cylinder(Polynomial((2.0, -3.0, 5.0, 7.0)), 2.0)  # 2 q^3 - 3 q^2 + 5 q + 7
+    c, r, s = Polynomial((2.0, -3.0, 5.0, 7.0)).length_arm_slope(2.0)  # 2 q^3 - 3 q^2 + 5 q + 7
     assert (c, r, s) == (21.0, 17.0, 18.0)

@@ -11,8 +11,8 @@ from benchmarks.peers import adaptive_mesh, child, node_to_node, roster, via_poi
 from benchmarks.peers.__main__ import run
 from benchmarks.peers.table import Measured, lines
 
+from leanboom import cost_scale, dp, stages, starts
 from leanboom import crane as cranes
-from leanboom import dp, stages
 from leanboom.errors import InfeasibleError
 from leanboom.files import load_task
 from leanboom.judge import evaluate
@@ -41,7 +41,7 @@ def test_the_cheapest_path_is_that_of_all_paths(rng):
 
 def test_the_whole_program_is_that_of_all_paths(problem):
     """Three stages of the crane itself: the same path by trying all."""
-    start = dp.start_position(problem, "middle")
+    start = starts.start_position(problem, "middle")
     nodes = node_to_node.feasible_nodes(problem, start, 4)[:4]
     powers = [node_to_node.edge_power(problem, "ls", k, nodes[k], nodes[k + 1]) for k in range(3)]
     assert nodes[0].tolist() == [start]
@@ -78,7 +78,7 @@ def test_no_path_is_an_error(problem, monkeypatch):
     """The two ends of the feasible extensions are too far from the middle."""
     monkeypatch.setattr(node_to_node, "NODES", 2)
     with pytest.raises(InfeasibleError, match="no path over 2 nodes a stage keeps the velocity limits"):
-        node_to_node.plan(problem.task, "cp", dp.start_position(problem, "middle"), lambda text, share: None)
+        node_to_node.plan(problem.task, "cp", starts.start_position(problem, "middle"), lambda text, share: None)
 
 
 def test_splines_keep_the_start_and_end_at_rest(rng):
@@ -94,8 +94,8 @@ def test_splines_keep_the_start_and_end_at_rest(rng):
 def test_the_price_rises_with_every_limit_used_too_far_and_beyond_reach():
     task = load_task("forwarder-vertical", start="middle")
     fine = stages.discretise(task, via_points.STEP)
-    start = dp.start_position(fine, "middle")
-    scale = dp.energy_scale(fine, "cp")
+    start = starts.start_position(fine, "middle")
+    scale = cost_scale.energy_scale(fine, "cp")
 
     def price(shares):
         judged = evaluate(task, via_points.spline_motion(fine, start, shares, "cp"))
@@ -128,7 +128,7 @@ def test_maptor_plans_what_collocation_plans(monkeypatch):
     monkeypatch.setattr(adaptive_mesh, "MESHES", 1)
     monkeypatch.setattr(adaptive_mesh, "LEVELS", adaptive_mesh.LEVELS[:1])
     task = load_task("forwarder-vertical", start="middle")
-    start = dp.start_position(stages.discretise(task, 0.05), "middle")
+    start = starts.start_position(stages.discretise(task, 0.05), "middle")
     motion = adaptive_mesh.plan(task, "cp", start, lambda text, share: None)
     judged = evaluate(task, motion)
     assert motion.position[0] == start and judged.feasible

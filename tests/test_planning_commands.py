@@ -10,7 +10,19 @@ import numpy as np
 import pytest
 
 from command_line import leanboom, words
-from leanboom import comparison, dp, files, folders, motion, objective, planner, reproduction, runfolder, terminal
+from leanboom import (
+    comparison,
+    dp,
+    files,
+    folders,
+    motion,
+    objective,
+    planner,
+    reproduction,
+    runfolder,
+    summaries,
+    terminal,
+)
 from leanboom.errors import InfeasibleError
 from leanboom.judge import evaluate
 
@@ -48,8 +60,8 @@ def test_plan_prints_json_and_nothing_else(calls, planned):
     assert result.exit_code == 0
     assert result.stderr == ""
     found = json.loads(result.stdout)
-    assert found == runfolder.summary(planned)
-    assert tuple(found) == runfolder.KEYS
+    assert found == summaries.summary(planned)
+    assert tuple(found) == summaries.KEYS
 
 
 def test_plan_hands_its_options_on(calls):

@@ -10,8 +10,9 @@ import pytest
 from leanboom import controllers, fluid, plant, valves
 from leanboom import crane as cranes
 from leanboom.files import load_machine, load_task
+from leanboom.friction import Friction
 from leanboom.integrator import Integrator
-from leanboom.machine import METERING, Circuit, Friction
+from leanboom.machine import METERING, Circuit
 from test_dynamics import MuJoCo, crane
 
 STEP = 0.01

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from leanboom import crane as cranes
-from leanboom import dp, hydraulics, motion, polish, pseudo_inverse, stages
+from leanboom import dp, grids, hydraulics, motion, polish, pseudo_inverse, stages, starts
 from leanboom.files import load_task
 from leanboom.judge import evaluate, judged_cost
-from leanboom.machine import EfficiencyMap
+from leanboom.pump_types import EfficiencyMap
 from leanboom.shaft import shaft_of
 from leanboom.task import Lines, Task
 
@@ -40,8 +40,8 @@ def built(name: str, cost: str, step: float) -> polish.Polisher:
 def seed(name: str, cost: str, step: float) -> motion.Motion:
     """A coarse dynamic program's motion."""
     problem = built(name, cost, step).problem
-    policy = dp.solve(problem, stages.full_grid(problem, 51, 25), cost)
-    return dp.rollout(policy, dp.start_position(problem, "middle"))
+    policy = dp.solve(problem, grids.full_grid(problem, 51, 25), cost)
+    return dp.rollout(policy, starts.start_position(problem, "middle"))
 
 
 def on_stages(problem: stages.Problem, fine: motion.Motion) -> motion.Motion:

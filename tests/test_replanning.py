@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import slow_reference as slow
-from leanboom import continuation, dp, kernels, motion, replanning, stages
+from leanboom import continuation, dp, grids, layout, motion, replanning, stages, starts
 from leanboom.errors import InputError
 from leanboom.files import load_task
 from leanboom.judge import TOLERANCE, evaluate
@@ -21,7 +21,7 @@ TASK = replace(load_task("forwarder-vertical"), start="middle")
 
 def solved(cost: str, positions: int = 101, velocities: int = 51) -> dp.Policy:
     problem = stages.discretise(TASK, STEP)
-    return dp.solve(problem, stages.full_grid(problem, positions, velocities), cost)
+    return dp.solve(problem, grids.full_grid(problem, positions, velocities), cost)
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def policies() -> dict[str, dp.Policy]:
 
 
 def planned(policy: dp.Policy) -> motion.Motion:
-    return dp.rollout(policy, dp.start_position(policy.problem, "middle"))
+    return dp.rollout(policy, starts.start_position(policy.problem, "middle"))
 
 
 def state(found, time: float) -> tuple[float, float]:
@@ -57,7 +57,7 @@ def test_control_between_stages_equals_its_twin(cost):
     moved = 0
     for _ in range(60):
         k, share = int(rng.integers(0, policy.problem.stages)), float(rng.uniform(0.05, 0.95))
-        low, high = table.stage[k, kernels.C_LO], table.stage[k, kernels.C_LO] + 20 * table.stage[k, kernels.DC]
+        low, high = table.stage[k, layout.C_LO], table.stage[k, layout.C_LO] + 20 * table.stage[k, layout.DC]
         c, w = float(rng.uniform(low, high)), float(rng.uniform(-0.3, 0.3))
         ahead = policy.values[k + 1].astype(float)
         small = slow.Small(
@@ -66,9 +66,9 @@ def test_control_between_stages_equals_its_twin(cost):
         rows = [slow.row_at(small, n, c) for n in (k, k + 1)]
         row = (1.0 - share) * rows[0][0] + share * rows[1][0]
         off = (1.0 - share) * rows[0][1] + share * rows[1][1]
-        for column in (kernels.FIXED_FLOW, kernels.FIXED_PRESSURE, kernels.FIXED_COST):
+        for column in (layout.FIXED_FLOW, layout.FIXED_PRESSURE, layout.FIXED_COST):
             small.stage[k, column] = (1.0 - share) * table.stage[k, column] + share * table.stage[k + 1, column]
-        small.setting[kernels.STEP] = (1.0 - share) * STEP
+        small.setting[layout.STEP] = (1.0 - share) * STEP
         wanted, _ = slow.least(small, k, row, off, c, w, ahead, fine=2)
         u = policy.control((k + share) * policy.problem.step, c, w)
         ours = float(slow.costs_of(small, k, row, off, c, w, np.array([u]), ahead)[0])

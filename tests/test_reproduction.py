@@ -317,10 +317,9 @@ def test_pin_distances_are_derived_again():
         for name in ("long", "short", "angle"):
             assert getattr(new.linkage, name) == pytest.approx(getattr(old.linkage, name), abs=1e-3)
     longer = experiments.lengthened(machine, 0.35)
-    from leanboom import linkages
 
     for joint, cylinder in zip(longer.joints[:2], longer.cylinders[:2], strict=True):
-        ends = [float(linkages.cylinder(cylinder.linkage, q)[0]) for q in (joint.lower, joint.upper)]
+        ends = [float(cylinder.linkage.length_arm_slope(q)[0]) for q in (joint.lower, joint.upper)]
         assert ends == pytest.approx([0.545 + 0.35, 2 * 0.545 + 0.35], abs=1e-9)
 
 

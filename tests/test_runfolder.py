@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leanboom import files, motion, planner, report, runfolder
+from leanboom import files, motion, planner, report, runfolder, summaries
 from leanboom.errors import InputError
 from leanboom.judge import evaluate
 
@@ -32,7 +32,7 @@ def names(folder):
 
 
 def test_summary_has_the_agreed_keys_and_types(plan):
-    found = runfolder.summary(plan, Path("out"))
+    found = summaries.summary(plan, Path("out"))
     assert list(found) == [
         "task", "machine", "pump", "cost", "method", "start_m", "status", "duration_s", "energy_j", "energy_ls_j",
         "energy_cp_j", "limit_use", "path_error_m", "solve_s", "peak_memory_bytes", "out",
@@ -47,19 +47,19 @@ def test_summary_has_the_agreed_keys_and_types(plan):
     assert all(type(value) is float for value in [*numbers, *found["limit_use"].values()])
     assert type(found["peak_memory_bytes"]) is int
     assert found["energy_j"] == found["energy_ls_j"] == plan.evaluation.energy_ls
-    assert runfolder.summary(plan)["out"] is None
+    assert summaries.summary(plan)["out"] is None
 
 
 def test_numbers_that_are_not_finite_are_null():
-    assert runfolder._finite(float("nan")) is None
-    assert runfolder._finite(np.float64(2.0)) == 2.0
+    assert summaries._finite(float("nan")) is None
+    assert summaries._finite(np.float64(2.0)) == 2.0
 
 
 def test_the_folder_holds_five_files(plan, tmp_path):
     out = runfolder.write(plan, tmp_path / "deep" / "run")
     assert names(out) == sorted(runfolder.FILES)
     assert names(out.parent) == ["run"]
-    assert json.loads((out / "summary.json").read_text(encoding="utf-8")) == runfolder.summary(plan, out)
+    assert json.loads((out / "summary.json").read_text(encoding="utf-8")) == summaries.summary(plan, out)
 
 
 def test_task_and_machine_load_as_they_were(plan, tmp_path):

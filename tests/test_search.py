@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leanboom import cells, dp, incumbent, motion, planner, report, resources, search, stages
+from leanboom import cells, incumbent, motion, planner, report, resources, search, stages, starts
 from leanboom.errors import InputError
 from leanboom.files import load_task
 from leanboom.judge import judged_cost
@@ -52,7 +52,7 @@ def test_other_costs_lead_to_a_feasible_motion_where_this_one_does_not():
     """A search whose own candidates all fail is led to a motion by its constant-pressure cost."""
     looking = search.Search(VERTICAL, "ls", (41, 31), 0.1)
     problem = stages.discretise(VERTICAL, 0.1)
-    start = dp.start_position(problem, "middle")
+    start = starts.start_position(problem, "middle")
     assert start is not None
     velocity = np.zeros(problem.stages + 1)
     velocity[1] = 5.0
@@ -72,7 +72,7 @@ def moved(seconds: float) -> Task:
 def test_no_motion_is_proven_only_where_there_is_none():
     for task, proven in ((VERTICAL, False), (moved(0.5), True)):
         problem = stages.discretise(task, 0.05)
-        for start in (dp.start_position(problem, "middle"), None):
+        for start in (starts.start_position(problem, "middle"), None):
             assert cells.excludes_motion(problem, start) == proven
 
 

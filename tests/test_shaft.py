@@ -16,17 +16,18 @@ from scipy.interpolate import RegularGridInterpolator
 from typer.testing import CliRunner
 
 import leanboom
+from leanboom import cost_scale, direct, dp1, hydraulics, inspection, layout, stage_arrays, stages
 from leanboom import crane as cranes
-from leanboom import direct, dp, dp1, hydraulics, inspection, kernels, stages
 from leanboom.cli import app
 from leanboom.errors import InputError
 from leanboom.files import dump_machine, json_schema, load_machine, load_task
 from leanboom.formula import enable_in_kernels
 from leanboom.judge import evaluate, judged_cost
-from leanboom.machine import EfficiencyMap, Machine
+from leanboom.machine import Machine
 from leanboom.motion import from_velocities
 from leanboom.objective import COSTS
 from leanboom.planner import run
+from leanboom.pump_types import EfficiencyMap
 from leanboom.shaft import ALLOWED, Shaft, at_speed, fit, shaft_of
 from leanboom.task import Lines, Task, sample
 
@@ -207,11 +208,11 @@ def test_every_user_of_the_power_counts_the_same():
 @pytest.mark.parametrize("cost", COSTS)
 def test_kernels_are_told_the_losses_and_penalties_know_their_size(cost):
     problem = stages.discretise(SHORT, 0.5)
-    setting = stages.setting(problem, cost, (0.0, 0.0, 0.0, 0.0))
-    columns = [kernels.EFFICIENCY, kernels.IDLE, kernels.LEAK, kernels.DRAG]
+    setting = stage_arrays.setting(problem, cost, (0.0, 0.0, 0.0, 0.0))
+    columns = [layout.EFFICIENCY, layout.IDLE, layout.LEAK, layout.DRAG]
     np.testing.assert_allclose(setting[columns], PUMP, rtol=1e-9)
     constant = stages.discretise(with_map(SHORT, 0.96), 0.5)
-    scales = dp.energy_scale(problem, cost), dp.energy_scale(constant, cost)
+    scales = cost_scale.energy_scale(problem, cost), cost_scale.energy_scale(constant, cost)
     assert scales[0] > scales[1] if cost in ("ls", "cp", "recuperation") else scales[0] == scales[1]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import leanboom as lb
-from leanboom import collocation, direct, dp, shooting, stages
+from leanboom import collocation, direct, shooting, stages, starts
 from leanboom.errors import InputError
 from leanboom.judge import evaluate
 from leanboom.shooting import integrators
@@ -26,7 +26,7 @@ def task(request) -> Task:
 
 
 def start_of(task: Task) -> float:
-    return dp.start_position(stages.discretise(task, 0.05), task.start)
+    return starts.start_position(stages.discretise(task, 0.05), task.start)
 
 
 def test_the_least_effort_of_double_integrators_is_exact():

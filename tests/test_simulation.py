@@ -11,8 +11,9 @@ import leanboom as lb
 from leanboom import controllers, integrator, plant, simulation
 from leanboom.adaptive import AdaptiveRobust
 from leanboom.errors import InputError
-from leanboom.machine import METERING, EfficiencyMap
+from leanboom.machine import METERING
 from leanboom.motion import from_velocities
+from leanboom.pump_types import EfficiencyMap
 from leanboom.simulation import simulate
 from leanboom.task import Lines
 

@@ -13,11 +13,12 @@ from rich.console import Console
 
 import leanboom as lb
 from leanboom import crane as cranes
-from leanboom import inspection, motion, outcomes, planner, pseudo_inverse, runfolder, stages, tables
+from leanboom import inspection, motion, outcomes, planner, pseudo_inverse, stages, summaries, tables
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.judge import evaluate
 from leanboom.kinematics import ELBOW_DOWN, ELBOW_MARGIN, ELBOW_UP
-from leanboom.machine import Joint, Triangle
+from leanboom.linkage_types import Triangle
+from leanboom.machine import Joint
 from leanboom.simulation import simulate
 from leanboom.task import Braking, Lines, Moved, Part, Task
 
@@ -130,7 +131,7 @@ def test_energies_of_a_motion_that_cannot_be_made_are_left_out():
     """None in JSON, a dash in tables; nothing is saved compared with it."""
     judged = evaluate(OUTWARDS, motion.from_velocities(0.1, 0.0, np.zeros(81), "rest", "ls"))
     plan = planner.Plan(OUTWARDS, "ls", judged.motion, judged, judged, 0)
-    summary = runfolder.summary(plan)
+    summary = summaries.summary(plan)
     assert [summary[key] for key in ("energy_j", "energy_ls_j", "energy_cp_j")] == [None] * 3
     assert "Infinity" not in (text := json.dumps(summary)) and "NaN" not in text
     assert "LS -, CP -" in repr(judged)

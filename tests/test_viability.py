@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import slow_bounds
-from leanboom import cells, kernels, load_task, stages, viability
+from leanboom import cells, layout, load_task, stages, viability
 from leanboom.task import Lines
 
 STEP, PUSH, LENGTH = 0.1, 0.5, 0.2  # of the sled [s], [m/s^2], [m]
@@ -14,10 +14,10 @@ STEP, PUSH, LENGTH = 0.1, 0.5, 0.2  # of the sled [s], [m/s^2], [m]
 
 def sled(rows: int, stages_: int) -> viability.Viable:
     """A mass on a track with nothing but an acceleration limit: B3 = 1, all else 0."""
-    model = np.zeros((rows, 1, kernels.COEFFICIENTS, 4))
-    model[:, 0, kernels.B3, 0] = 1.0
-    cylinder = np.zeros((1, kernels.CYLINDER_COLUMNS))
-    cylinder[0, kernels.A_MAX] = PUSH
+    model = np.zeros((rows, 1, layout.COEFFICIENTS, 4))
+    model[:, 0, layout.B3, 0] = 1.0
+    cylinder = np.zeros((1, layout.CYLINDER_COLUMNS))
+    cylinder[0, layout.A_MAX] = PUSH
     columns = [np.tile([-0.3, 0.3], (rows, 1)) for _ in range(stages_)]
     edges = (np.linspace(0.0, LENGTH, rows + 1),) * (stages_ + 1)
     return viability.find(viability.BINS * rows, edges, (model,) * stages_, columns, cylinder, STEP)

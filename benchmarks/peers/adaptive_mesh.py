@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import BarycentricInterpolator, CubicSpline
 
-from leanboom import collocation, direct, kinematics, motion, pseudo_inverse, stages
+from leanboom import collocation, direct, feasible_strokes, kinematics, motion, pseudo_inverse, stages
 from leanboom import crane as cranes
 from leanboom.direct import Level
 from leanboom.errors import LeanboomError
@@ -149,7 +149,7 @@ def add_phase(
     time = phase.time(initial=piece.begin, final=piece.end)
     first = (start, 0.0) if isinstance(start, float) else (start[0].final, start[1].final)
     cylinder = problem.crane.machine.redundant
-    c = phase.state("c", initial=first[0], boundary=stages.stroke_range(problem.task))
+    c = phase.state("c", initial=first[0], boundary=feasible_strokes.stroke_range(problem.task))
     speed = (-cylinder.velocity_limit, cylinder.velocity_limit)
     w = phase.state("w", initial=first[1], final=0.0 if last else None, boundary=speed)
     u = phase.control("u", boundary=(-cylinder.acceleration_limit, cylinder.acceleration_limit))

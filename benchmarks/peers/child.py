@@ -17,7 +17,7 @@ from pathlib import Path
 import leanboom as lb
 from benchmarks.peers.roster import PEERS
 from benchmarks.peers.table import Measured
-from leanboom import dp, stages
+from leanboom import dp, stages, starts
 
 
 def tell(text: str, share: float) -> None:
@@ -30,7 +30,7 @@ def measure(name: str, start: str, pump: str, peer: str) -> Measured:
     for package in PEERS[peer].needs:
         importlib.import_module(package)
     dp.prepare()
-    first = dp.start_position(stages.discretise(task, 0.05), task.start)
+    first = starts.start_position(stages.discretise(task, 0.05), task.start)
     if first is None:
         return Measured(peer, remark="start = best; peers need smallest, middle or a length")
     began = time.process_time()

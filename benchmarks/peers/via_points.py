@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from leanboom import direct, dp, motion, pseudo_inverse, stages
+from leanboom import cost_scale, direct, feasible_strokes, motion, pseudo_inverse, stages
 from leanboom.judge import Evaluation, evaluate
 from leanboom.motion import Motion
 from leanboom.stages import Problem
@@ -47,7 +47,7 @@ def plan(task: Task, cost: str, start: float, tell: Progress) -> Motion:
 
     began = time.process_time()
     problem = stages.discretise(task, STEP)
-    scale = dp.energy_scale(problem, cost)
+    scale = cost_scale.energy_scale(problem, cost)
     rng = np.random.default_rng(SEED)
     best: Evaluation | None = None
     count = 0
@@ -102,7 +102,7 @@ def shares_of(problem: Problem, guess: Motion) -> np.ndarray:
     """Via-points on a motion, as shares of the feasible extensions, (POINTS,)."""
     at = via_times(problem)[1:]
     low, high = np.interp(at, problem.time, problem.lower), np.interp(at, problem.time, problem.upper)
-    return np.clip((guess.at(at)[0] - low) / np.maximum(high - low, stages.PROMISE), 0.0, 1.0)
+    return np.clip((guess.at(at)[0] - low) / np.maximum(high - low, feasible_strokes.PROMISE), 0.0, 1.0)
 
 
 def priced(problem: Problem, judged: Evaluation, cost: str, scale: float) -> float:

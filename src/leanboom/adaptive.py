@@ -32,7 +32,7 @@ import numpy as np
 from leanboom import crane as cranes
 from leanboom import plant, valves
 from leanboom.controllers import Rig, Sample
-from leanboom.machine import IndependentMetering
+from leanboom.valve_types import IndependentMetering
 
 K1, K2, K3 = 6.0, 8.0, 20.0  # [1/s]
 ADAPTATION = 0.05  # gamma, below 1: the oil's own stiffness would follow no faster

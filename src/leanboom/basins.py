@@ -22,17 +22,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leanboom import dp, kernels, motion, passes, stages
+from leanboom import dp, grids, layout, motion, passes
 from leanboom.dp import Policy
+from leanboom.grids import Tables
 from leanboom.motion import Motion
-from leanboom.stages import Tables
 
-_TURNED = (kernels.A0, kernels.B1, kernels.F0, kernels.F2, kernels.F3)  # coefficients that change their sign
+_TURNED = (layout.A0, layout.B1, layout.F0, layout.F2, layout.F3)  # coefficients that change their sign
 _EXCHANGED = (
-    (kernels.AREA_OUT, kernels.AREA_IN),
-    (kernels.GAIN_OUT, kernels.GAIN_IN),
-    (kernels.BACK_OUT, kernels.BACK_IN),
-    (kernels.PISTON, kernels.ROD_SIDE),
+    (layout.AREA_OUT, layout.AREA_IN),
+    (layout.GAIN_OUT, layout.GAIN_IN),
+    (layout.BACK_OUT, layout.BACK_IN),
+    (layout.PISTON, layout.ROD_SIDE),
 )
 APART = 0.02  # motions closer than this share of the widest feasible extensions are one local minimum
 FLAT = 0.005  # beyond the best by less than this share of its cost a grid cannot tell which motion is the better one
@@ -81,7 +81,7 @@ def backward_in_time(table: Tables) -> Tables:
     coefficients = table.coefficients[::-1].copy()
     coefficients[..., _TURNED] *= -1.0
     stage = table.stage[::-1].copy()
-    stage[:, kernels.W_LO] = -(stage[:, kernels.W_LO] + stage[:, kernels.DW] * (table.velocities - 1))
+    stage[:, layout.W_LO] = -(stage[:, layout.W_LO] + stage[:, layout.DW] * (table.velocities - 1))
     cylinder = table.cylinder.copy()
     for one, other in _EXCHANGED:
         cylinder[:, [one, other]] = cylinder[:, [other, one]]
@@ -97,13 +97,13 @@ def through(policy: Policy, start: float | None) -> Through:
     """
     table = backward_in_time(policy.tables)
     last = table.stage[-1]
-    c = last[kernels.C_LO] + last[kernels.DC] * np.arange(policy.grid.positions)
-    w = last[kernels.W_LO] + last[kernels.DW] * np.arange(policy.grid.velocities)
+    c = last[layout.C_LO] + last[layout.DC] * np.arange(policy.grid.positions)
+    w = last[layout.W_LO] + last[layout.DW] * np.arange(policy.grid.velocities)
     off = np.zeros_like(c) if start is None else np.abs(c - start)
-    end = policy.setting[kernels.SLOPE_C] * off[:, None] + policy.setting[kernels.SLOPE_W] * np.abs(w)[None, :]
+    end = policy.setting[layout.SLOPE_C] * off[:, None] + policy.setting[layout.SLOPE_W] * np.abs(w)[None, :]
     values = dp.sweep(table, policy.setting, end)
     grid = policy.grid
-    turned = stages.Grid(
+    turned = grids.Grid(
         grid.c_lo[::-1], grid.c_hi[::-1], -grid.w_hi[::-1], -grid.w_lo[::-1], grid.positions, grid.velocities
     )
     return Through(policy, Policy(policy.problem, policy.cost, turned, table, policy.setting, values))
@@ -129,13 +129,13 @@ def local_minima(found: Through, share: float, most: int) -> list[Motion]:
     minimum = (least <= padded[:, :-2]) & (least <= padded[:, 2:]) & (beyond <= share * np.abs(best))
     candidates = np.argwhere(minimum)
     order = np.argsort(beyond[minimum], kind="stable")
-    nodes = stage[:, kernels.C_LO, None] + stage[:, kernels.DC, None] * np.arange(least.shape[1])
+    nodes = stage[:, layout.C_LO, None] + stage[:, layout.DC, None] * np.arange(least.shape[1])
     apart = APART * float(np.max(nodes[:, -1] - nodes[:, 0]))
     motions: list[Motion] = []
     far = np.full_like(nodes, np.inf)  # how far each node is from the nearest motion [m]
 
     def follow(k: int, i: int) -> None:
-        w = stage[k, kernels.W_LO] + stage[k, kernels.DW] * fastest[k, i]
+        w = stage[k, layout.W_LO] + stage[k, layout.DW] * fastest[k, i]
         made = found.motion(k, float(nodes[k, i]), float(w))
         motions.append(made)
         np.minimum(far, np.abs(nodes - made.position[:, None]), out=far)

@@ -46,17 +46,8 @@ from leanboom.cellwise import (
 )
 from leanboom.compiling import njit
 from leanboom.formula import enable_in_kernels
-from leanboom.kernels import (
-    AREA_IN,
-    AREA_OUT,
-    COEFFICIENTS,
-    COST,
-    EFFICIENCY,
-    LS,
-    MARGIN,
-    STEP,
-    SUPPLY_CP,
-)
+from leanboom.layout import AREA_IN, AREA_OUT, COEFFICIENTS, COST, EFFICIENCY, MARGIN, STEP, SUPPLY_CP
+from leanboom.objective import LS
 
 enable_in_kernels()
 

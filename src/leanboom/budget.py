@@ -10,7 +10,7 @@ import os
 import time
 from dataclasses import dataclass, field
 
-from leanboom import stages
+from leanboom import resources
 
 PATIENCE = 2.0  # times the seconds asked for, by the clock, after which a budget ends whatever the processors did
 
@@ -18,7 +18,7 @@ PATIENCE = 2.0  # times the seconds asked for, by the clock, after which a budge
 def processors() -> int:
     """Processors that the threads of this process can use at once."""
     there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(stages.threads(), there)
+    return min(resources.threads(), there)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leanboom import bounds, cellwise, intervals, kernels, resources, stages, viability
+from leanboom import bounds, cellwise, intervals, layout, resources, stage_arrays, viability
 from leanboom.cellwise import L_DW, L_J, L_W, LATTICE
 from leanboom.motion import Motion
 from leanboom.stages import Problem
@@ -172,9 +172,9 @@ def _cut(  # noqa: PLR0913
     lattice[:n, L_W] = -limit
     lattice[:n, L_DW] = 2.0 * limit / velocities
     lattice[:n, L_J] = corner
-    cylinder = stages.cylinder_table(problem)
-    setting = stages.setting(problem, cost, (0.0, 0.0, 0.0, 0.0))
-    setting[kernels.EPSILON] = problem.crane.machine.driven_velocity
+    cylinder = stage_arrays.cylinder_table(problem)
+    setting = stage_arrays.setting(problem, cost, (0.0, 0.0, 0.0, 0.0))
+    setting[layout.EPSILON] = problem.crane.machine.driven_velocity
     model = intervals.enclosures(problem, rows[:n])
     columns = [np.tile([-limit, limit], (edges.size - 1, 1)) for edges in rows]
     edges = [np.zeros((stage.shape[0], count + 1)) for stage, count in zip(model, counts, strict=True)]
@@ -199,7 +199,7 @@ def _cut(  # noqa: PLR0913
 
 def _fixed(problem: Problem, cost: str) -> np.ndarray:
     """Pump flow [m^3/s] and pressure [Pa] of the prescribed cylinders, (stages + 1, 2)."""
-    flow, pressure, _ = stages.prescribed(problem, cost)
+    flow, pressure, _ = stage_arrays.prescribed(problem, cost)
     return np.stack([flow, pressure], axis=1)
 
 
@@ -405,7 +405,7 @@ def memory_of(problem: Problem, cut: Size) -> float:
 
 def _bytes(count: int, rows: int, moving: int) -> float:
     """Bytes that so many cells in so many rows take, and the enclosures of their coefficients."""
-    return 8.0 * (count * 6 + rows * moving * kernels.COEFFICIENTS * 4 * 2)
+    return 8.0 * (count * 6 + rows * moving * layout.COEFFICIENTS * 4 * 2)
 
 
 def value_at(found: Bounds, k: int, position: float, velocity: float) -> float:
@@ -444,9 +444,9 @@ def residuals(found: Bounds, motion: Motion, costs: np.ndarray) -> np.ndarray:
 
 def prepare() -> None:
     """Load the compiled kernels, compiling them on the very first run, by bounding a stage of one cell."""
-    model, one = np.zeros((1, 1, kernels.COEFFICIENTS, 4)), np.zeros((1, 1))
+    model, one = np.zeros((1, 1, layout.COEFFICIENTS, 4)), np.zeros((1, 1))
     columns, lattice, rows = np.zeros((1, 2)), np.ones(LATTICE), np.arange(2.0)
-    cylinder, setting = np.ones((1, kernels.CYLINDER_COLUMNS)), np.ones(kernels.SETTINGS)
+    cylinder, setting = np.ones((1, layout.CYLINDER_COLUMNS)), np.ones(layout.SETTINGS)
     cellwise.velocity_columns(model, cylinder, columns)
     cellwise.place_edges(model, setting, lattice, np.zeros((1, 2)))
     cellwise.hand_down(rows, columns, lattice, np.zeros((1, 1, 4)), one, rows, columns, lattice, one)
@@ -461,7 +461,7 @@ class _Pool:
     """Threads that share the rows of a stage among them."""
 
     def __init__(self, cells: Cells) -> None:
-        self.cells, self.workers = cells, stages.threads()
+        self.cells, self.workers = cells, resources.threads()
 
     def __enter__(self) -> _Pool:
         self.pool = ThreadPoolExecutor(self.workers)

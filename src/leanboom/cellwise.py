@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from leanboom.compiling import njit
-from leanboom.kernels import (
+from leanboom.layout import (
     A0,
     A1,
     A_MAX,
@@ -33,11 +33,11 @@ from leanboom.kernels import (
     F3,
     GAIN_IN,
     GAIN_OUT,
-    LS,
     SHARPNESS,
     V_MAX,
     VISCOUS,
 )
+from leanboom.objective import LS
 
 # Entries of a lattice, one stage's cells in velocity: first edge, height, first column in the arrays of that stage.
 L_W, L_DW, L_J = range(3)

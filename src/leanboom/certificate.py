@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from leanboom import cells, compiling, dp, guide, incumbent, polish, resources, stages
+from leanboom import cells, compiling, dp, guide, incumbent, polish, resources, stages, starts
 from leanboom.budget import Budget
 from leanboom.errors import InfeasibleError, InputError, LeanboomError
 from leanboom.incumbent import Measured
@@ -167,7 +167,7 @@ def certify(
         guide.prepare()
     budget = Budget(seconds)
     problem = stages.discretise(task, step)
-    start = dp.start_position(problem, task.start)
+    start = starts.start_position(problem, task.start)
     if start is not None and abs(motion.position[0] - start) > 1e-6:
         raise InputError(f"motion starts at {motion.position[0]:.4f} m; the task's start is {start:.4f} m")
     if abs(motion.step * motion.acceleration.size - task.duration) > 1e-6 * task.duration:

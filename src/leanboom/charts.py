@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from leanboom import linkages
 from leanboom.judge import SAMPLE
 from leanboom.objective import of_pump
 
@@ -185,7 +184,7 @@ def _cylinder_charts(plan: Plan, at: np.ndarray) -> list[dict[str, Any]]:
     rows: dict[str, list] = {"Length": [], "Velocity": [], "Force": [], "Counted pressure": []}
     for j, (joint, cylinder) in enumerate(zip(machine.joints, machine.cylinders, strict=True)):
         title, colour = cylinder.name.capitalize(), COLOURS[cylinder.name]
-        ends = [float(linkages.cylinder(cylinder.linkage, q)[0]) for q in (joint.lower, joint.upper)]
+        ends = [float(cylinder.linkage.length_arm_slope(q)[0]) for q in (joint.lower, joint.upper)]
         fastest = cylinder.velocity_limit
         for row, axis, unit, name, scale, limits in (
             ("Length", "position" if joint.name == "base" else "length", "m", "length", 1.0, ends),

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import direct, motion, stages
+from leanboom import direct, feasible_strokes, motion, stages
 from leanboom.direct import Attempt, Drawn, Level, Progress
 from leanboom.errors import InputError
 from leanboom.judge import evaluate
@@ -268,7 +268,7 @@ def _draw_in(problem: stages.Problem, attempt: Attempt) -> Drawn:
     c = judged.length[:, -1]
     below = np.interp(judged.time, problem.time, problem.lower) - c
     outside = np.stack([below, c - np.interp(judged.time, problem.time, problem.upper)], axis=1)
-    least = 0.5 * (direct.KEPT - 1.0) * np.ptp(stages.stroke_range(problem.task))
+    least = 0.5 * (direct.KEPT - 1.0) * np.ptp(feasible_strokes.stroke_range(problem.task))
     position = direct.around(np.where(outside > least, direct.DRAWN * outside, 0.0), judged.time, attempt.nodes)
     velocity, acceleration = direct.exceeded(judged, attempt.nodes)
     amounts = position, velocity[:, problem.moving], acceleration[:, problem.moving]

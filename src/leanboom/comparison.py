@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from leanboom import jobs, planner, runfolder
+from leanboom import jobs, planner, starts, summaries
 from leanboom.errors import InputError, LeanboomError
 from leanboom.judge import check_measurable
 from leanboom.motion import Motion
@@ -277,7 +277,7 @@ def solve(asked: tuple[Task, Entry, tuple[str, ...], bool]) -> tuple[dict[str, d
         raise LeanboomError(plan.motion.status)
     found = {}
     for pump in pumps:
-        found[pump] = {**runfolder.summary(replace(plan, pump=pump)), "cost": entry.cost}
+        found[pump] = {**summaries.summary(replace(plan, pump=pump)), "cost": entry.cost}
         if simulate:
             found[pump] |= _simulated(task, plan.motion, pump)
     return found, plan.motion
@@ -296,9 +296,9 @@ def _simulated(task: Task, motion: Motion, pump: str) -> dict[str, float | None]
 
 def _start_position(task: Task) -> float | None:
     """Where the redundant cylinder starts [m]; None where that is left to the method."""
-    from leanboom import dp, stages
+    from leanboom import stages
 
-    return dp.start_position(stages.discretise(task, 0.05), task.start)
+    return starts.start_position(stages.discretise(task, 0.05), task.start)
 
 
 def _failed(task: Task, entry: Entry, pump: str, start: float | None, reason: str, simulate: bool) -> Row:
@@ -314,5 +314,5 @@ def _failed(task: Task, entry: Entry, pump: str, start: float | None, reason: st
         "duration_s": float(task.duration),
         "limit_use": {"position": None, "velocity": None, "acceleration": None},
     }
-    keys = (*runfolder.KEYS, *SIMULATED) if simulate else runfolder.KEYS
+    keys = (*summaries.KEYS, *SIMULATED) if simulate else summaries.KEYS
     return Row(entry, pump, task.start, {key: known.get(key) for key in keys}, None)

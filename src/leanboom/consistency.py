@@ -11,8 +11,10 @@ from typing import Any, TypeVar
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import PydanticCustomError
 
-from leanboom.machine import EfficiencyMap, FourBar, Linkage, Machine, Polynomial, RackAndPinion, Telescope, Triangle
+from leanboom.linkage_types import FourBar, Linkage, Polynomial, RackAndPinion, Telescope, Triangle
+from leanboom.machine import Machine
 from leanboom.paths import miscounted
+from leanboom.pump_types import EfficiencyMap
 from leanboom.ranges import CUTOFF
 from leanboom.rules import Quantity, Rule, Start
 from leanboom.schema import (
@@ -71,9 +73,7 @@ def linkage(keys: Section) -> Linkage:
 
 def stroke(shape: Linkage, lower: float, upper: float) -> float:
     """The change of a cylinder's length [m] over its joint's range, from end to end [rad or m]."""
-    from leanboom.linkages import cylinder
-
-    return abs(float(cylinder(shape, upper)[0]) - float(cylinder(shape, lower)[0]))
+    return abs(float(shape.length_arm_slope(upper)[0]) - float(shape.length_arm_slope(lower)[0]))
 
 
 def efficiency(keys: PumpKeys) -> float | EfficiencyMap:
@@ -210,8 +210,6 @@ def _check_linkage(source: Source, key: Key, keys: CylinderKeys, joint: tuple[fl
     """Note a linkage that cannot close or has no torque arm somewhere in its joint's range, or a wrong stroke."""
     import numpy as np
 
-    from leanboom.linkages import cylinder
-
     shape = linkage(keys.linkage)
     q = np.linspace(*joint, _SAMPLES)
     name = key[-1]
@@ -220,7 +218,7 @@ def _check_linkage(source: Source, key: Key, keys: CylinderKeys, joint: tuple[fl
     span = f"joints.{name} = [{joint[0]:.6g}, {joint[1]:.6g}] {unit}"
     with np.errstate(all="ignore"):
         open_at = q[~_closes(shape, q)] if isinstance(shape, FourBar) else q[:0]
-        _, arm, _ = cylinder(shape, q)
+        _, arm, _ = shape.length_arm_slope(q)
         dead = q[~(arm * arm[0] > _SMALLEST_ARM * abs(arm[0]))]
     where = (*key, "linkage")
     if open_at.size:

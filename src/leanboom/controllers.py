@@ -33,8 +33,8 @@ import numpy as np
 from leanboom import plant as plants
 from leanboom.crane import Crane
 from leanboom.integrator import Integrator
-from leanboom.machine import Connection, IndependentMetering
 from leanboom.plant import Plant
+from leanboom.valve_types import Connection, IndependentMetering
 
 GAIN = 1.5  # K_p of eq. (A2) [1/s]; the valve's delay allows no more
 LEAST_VELOCITY = 0.002  # epsilon_v: a smaller desired velocity does not open the valve [m/s]

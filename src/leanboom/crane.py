@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from leanboom import dynamics, hydraulics, kinematics, linkages
+from leanboom import dynamics, hydraulic_drives, kinematics
 from leanboom.errors import InputError
-from leanboom.machine import Body, Machine, Telescope
+from leanboom.linkage_types import Telescope
+from leanboom.machine import Body, Machine
 from leanboom.paths import approaches
 from leanboom.task import Lines, Reference, Spline, Task, sample
 
@@ -34,7 +35,7 @@ class Crane:
 
     machine: Machine
     bodies: tuple[Body, ...]
-    drives: tuple[hydraulics.Drive, ...]
+    drives: tuple[hydraulic_drives.Drive, ...]
     side: float = kinematics.ELBOW_UP  # to which the outer boom folds, kept along the whole path
     bent: float = kinematics.BENT  # largest |cosine| of the angle at the tilt joint; 1: up to the straight pose
 
@@ -59,7 +60,7 @@ def build(task: Task) -> Crane:
     if task.payload:
         load = Body("payload", "tilt", task.payload, machine.payload_along, machine.payload_above, 0.0, 1.0)
         bodies = (*bodies, load)
-    return _on_its_side(Crane(machine, bodies, hydraulics.drives(machine)), task)
+    return _on_its_side(Crane(machine, bodies, hydraulic_drives.drives(machine)), task)
 
 
 def check_axis(task: Task) -> None:
@@ -176,7 +177,7 @@ def pose(crane: Crane, plane: Plane, stroke: Value) -> Pose:
         crane,
         plane,
         (q2, q3, q4),
-        tuple(linkages.cylinder(c.linkage, q) for c, q in zip(machine.cylinders, joints, strict=True)),
+        tuple(c.linkage.length_arm_slope(q) for c, q in zip(machine.cylinders, joints, strict=True)),
         kinematics.jacobian(q2, q3, q4, g.boom, g.offset, g.outer),
         inertia,
         gravity,

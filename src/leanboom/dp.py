@@ -30,14 +30,25 @@ from typing import Any
 
 import numpy as np
 
-from leanboom import continuation, hydraulics, kernels, lookahead, motion, passes, ranges, resources, stages
-from leanboom import crane as cranes
+from leanboom import (
+    continuation,
+    feasible_strokes,
+    grids,
+    layout,
+    lookahead,
+    motion,
+    passes,
+    ranges,
+    resources,
+    stage_arrays,
+)
 from leanboom.continuation import Continuation
+from leanboom.cost_scale import energy_scale
 from leanboom.errors import InputError
+from leanboom.grids import Grid, Tables
 from leanboom.motion import Motion
 from leanboom.ranges import noted
-from leanboom.shaft import shaft_of
-from leanboom.stages import Grid, Problem, Tables
+from leanboom.stages import Problem
 
 # Penalty slopes relative to the energy scale: per stroke range [m], per velocity limit (state, cylinders), per
 # acceleration limit. Measured: results change by less than 1 % between a tenth and ten times these.
@@ -142,33 +153,10 @@ class Policy:
         return f"Policy({self.problem.task.name}, {self.cost}: {n - 1} stages x {p} positions x {v} velocities)"
 
 
-def energy_scale(problem: Problem, cost: str) -> float:
-    """A typical total cost: what the steep slopes are relative to."""
-    crane = problem.crane
-    pose = cranes.pose(crane, problem.plane, 0.5 * (problem.lower + problem.upper))
-    moving = cranes.move(pose, 0.0, 0.0)
-    forces = cranes.forces(pose, moving)
-    duration = problem.task.duration
-    speed = 0.1 * problem.pace
-    if cost in ("velocity", "extension"):
-        square = sum(v * v for v in moving.velocity) if cost == "velocity" else 0.0
-        return float(np.mean(square + speed**2) * duration)
-    drives = [*crane.drives, crane.drives[-1]]
-    speeds = [*moving.velocity, np.full_like(problem.time, speed)]
-    flow = sum(hydraulics.cylinder_flow(v, d.area_out, d.area_in) for v, d in zip(speeds, drives, strict=True))
-    if cost == "actuator":
-        work = sum(hydraulics.positive_work(v, f) for v, f in zip(moving.velocity, forces, strict=True))
-        return float(np.mean(work + 0.05 * crane.machine.pump.constant_pressure * flow) * duration)
-    # Recuperation pays back as well as it takes: its gains reach well beyond its total.
-    spread = 10.0 if cost == "recuperation" else 1.0
-    pressure, shaft = crane.machine.pump.constant_pressure, shaft_of(crane.machine.pump)
-    return float(spread * np.mean(hydraulics.pump_power(pressure, flow, *shaft)) * duration)
-
-
 def slopes(problem: Problem, cost: str) -> tuple[float, float, float, float]:
     """Penalties per violated m, m/s of the state, m/s and m/s^2 of a cylinder, in units of the cost."""
     scale = energy_scale(problem, cost)
-    low, high = stages.stroke_range(problem.task)
+    low, high = feasible_strokes.stroke_range(problem.task)
     cylinders = problem.crane.machine.cylinders[problem.moving]
     fastest = min(c.velocity_limit for c in cylinders)
     hardest = min(c.acceleration_limit for c in cylinders)
@@ -184,7 +172,7 @@ def slopes(problem: Problem, cost: str) -> tuple[float, float, float, float]:
 def memory(stages_: int, positions: int, velocities: int) -> int:
     """Bytes a policy of this size takes: tables, float32 values of all stages, a few float64 layers."""
     nodes = (stages_ + 1) * positions
-    return nodes * (4 * velocities + 8 * (3 * kernels.COEFFICIENTS + 1) + 8 * 60) + 4 * 8 * positions * velocities
+    return nodes * (4 * velocities + 8 * (3 * layout.COEFFICIENTS + 1) + 8 * 60) + 4 * 8 * positions * velocities
 
 
 def check_memory(stages_: int, positions: int, velocities: int, limit: float | None = None) -> None:
@@ -245,12 +233,12 @@ def solve(problem: Problem, grid: Grid, cost: str, terminal: Terminal | None = N
     Returns:
         The policy over that grid.
     """
-    table = stages.tables(problem, grid, cost)
+    table = grids.tables(problem, grid, cost)
     steep = slopes(problem, cost)
-    setting = stages.setting(problem, cost, steep)
+    setting = stage_arrays.setting(problem, cost, steep)
     last = table.stage[-1]
-    c = last[kernels.C_LO] + last[kernels.DC] * np.arange(grid.positions)
-    w = last[kernels.W_LO] + last[kernels.DW] * np.arange(grid.velocities)
+    c = last[layout.C_LO] + last[layout.DC] * np.arange(grid.positions)
+    w = last[layout.W_LO] + last[layout.DW] * np.arange(grid.velocities)
     ends = steep[1] * np.abs(w) if terminal is None else terminal(c[:, None], w[None, :])
     end = np.array(np.broadcast_to(ends, (grid.positions, grid.velocities)), order="C")
     return Policy(problem, cost, grid, table, setting, sweep(table, setting, end))
@@ -270,7 +258,7 @@ def sweep(table: Tables, setting: np.ndarray, end: np.ndarray) -> np.ndarray:
     count, (positions, velocities) = table.stage.shape[0], end.shape
     values = np.empty((count, positions, velocities), dtype=np.float32)
     arrays = table.coefficients, table.outside, table.stage, table.cylinder, setting
-    workers = min(stages.threads(), positions * velocities // WORTH_SHARING)
+    workers = min(resources.threads(), positions * velocities // WORTH_SHARING)
     if workers < 2:
         passes.sweep(*arrays, end, values)
     else:
@@ -328,42 +316,19 @@ def _motion(
 def best_start(policy: Policy) -> float:
     """The start position [m] of least cost from rest."""
     stage = policy.tables.stage[0]
-    column = int(round(-stage[kernels.W_LO] / stage[kernels.DW]))
+    column = int(round(-stage[layout.W_LO] / stage[layout.DW]))
     column = min(max(column, 0), policy.grid.velocities - 1)
-    values = policy.values[0, :, column] + policy.setting[kernels.SLOPE_C] * policy.tables.outside[0]
-    return float(stage[kernels.C_LO] + stage[kernels.DC] * int(values.argmin()))
-
-
-def start_position(problem: Problem, start: str | float) -> float | None:
-    """The start of the redundant cylinder [m] that a task asks for; None for `best`.
-
-    Raises:
-        InputError: If a given length is outside the feasible extensions at the start of the path.
-    """
-    intervals = problem.intervals[0]
-    if start == "smallest":
-        return float(problem.lower[0])
-    if start == "middle":
-        # Between the smallest and the largest feasible length; beside a gap, its nearest end.
-        middle = 0.5 * (problem.lower[0] + problem.upper[0])
-        nearest = np.clip(middle, intervals[:, 0], intervals[:, 1])
-        return float(nearest[np.abs(nearest - middle).argmin()])
-    if start == "best":
-        return None
-    length = float(start)
-    if not np.any((intervals[:, 0] - 1e-9 <= length) & (length <= intervals[:, 1] + 1e-9)):
-        allowed = " or ".join(f"{low:.4f} m to {high:.4f} m" for low, high in intervals)
-        raise InputError(f"start = {length:g} m; feasible at the beginning of this path: {allowed}")
-    return length
+    values = policy.values[0, :, column] + policy.setting[layout.SLOPE_C] * policy.tables.outside[0]
+    return float(stage[layout.C_LO] + stage[layout.DC] * int(values.argmin()))
 
 
 def prepare() -> None:
     """Load the compiled kernels, compiling them on the very first run, by solving a problem of a few nodes."""
-    coefficients = np.zeros((2, 2, 1, kernels.COEFFICIENTS))
-    stage = np.ones((2, kernels.STAGE_COLUMNS))
-    setting = np.ones(kernels.SETTINGS)
+    coefficients = np.zeros((2, 2, 1, layout.COEFFICIENTS))
+    stage = np.ones((2, layout.STAGE_COLUMNS))
+    setting = np.ones(layout.SETTINGS)
     values = np.zeros((2, 2, 2), dtype=np.float32)
-    cylinder = np.ones((1, kernels.CYLINDER_COLUMNS))
+    cylinder = np.ones((1, layout.CYLINDER_COLUMNS))
     arrays = coefficients, np.zeros((2, 2)), stage, cylinder, setting
     passes.sweep(*arrays, np.zeros((2, 2)), values)
     _sweep_shared(arrays, np.zeros((2, 2)), values, 2)

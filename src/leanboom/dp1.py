@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import hydraulics, motion, stages
+from leanboom import feasible_strokes, hydraulics, motion, stages
 from leanboom.errors import InputError
 from leanboom.motion import Motion
 from leanboom.objective import COSTS
@@ -125,7 +125,7 @@ def model(task: Task, cost: str, grid: tuple[int, int] = GRID, step: float = STE
     return Model(
         problem,
         cost,
-        np.linspace(*stages.stroke_range(task), grid[0]),
+        np.linspace(*feasible_strokes.stroke_range(task), grid[0]),
         np.linspace(-limit, limit, grid[1]),
         penalty(problem.crane, cost),
     )

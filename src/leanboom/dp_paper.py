@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import dp1, motion, stages
+from leanboom import dp1, feasible_strokes, motion, stages
 from leanboom.errors import InputError
 from leanboom.motion import Motion
 from leanboom.objective import COSTS
@@ -71,7 +71,7 @@ def model(task: Task, cost: str, grid: tuple[int, int, int] | None = None, step:
     if min(grid) < 2:
         raise InputError(f"grid = {'x'.join(map(str, grid))}; needs at least 2 nodes along each axis")
     problem = stages.discretise(task, step)
-    low, high = stages.stroke_range(task)
+    low, high = feasible_strokes.stroke_range(task)
     cylinder = task.machine.redundant
     return Model(
         problem,

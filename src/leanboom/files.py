@@ -12,21 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from leanboom.errors import InputError
-from leanboom.machine import (
-    METERING,
-    Body,
-    Circuit,
-    Connection,
-    Cylinder,
-    Friction,
-    Geometry,
-    IndependentMetering,
-    Joint,
-    Machine,
-    MobileValve,
-    Provenance,
-    Pump,
-)
+from leanboom.friction import Friction
+from leanboom.machine import METERING, Body, Circuit, Cylinder, Geometry, Joint, Machine, Provenance
+from leanboom.pump_types import Pump
+from leanboom.valve_types import Connection, IndependentMetering, MobileValve
 
 if TYPE_CHECKING:
     from leanboom.schema import CylinderKeys, MachineKeys, PumpKeys, Section

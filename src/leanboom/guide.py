@@ -16,22 +16,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from leanboom import dp, stages
+from leanboom import dp, grids
 from leanboom.bounds import FORM, cell_flow, supply_forms
 from leanboom.cells import Cells
-from leanboom.cellwise import (
-    MOTION,
-    ON_LIMIT,
-    V_SIDE,
-    V_T,
-    V_X,
-    cell_accelerations,
-    cell_motion,
-    expand,
-)
+from leanboom.cellwise import MOTION, ON_LIMIT, V_SIDE, V_T, V_X, cell_accelerations, cell_motion, expand
 from leanboom.compiling import njit
 from leanboom.dp import Policy
-from leanboom.kernels import (
+from leanboom.grids import Grid
+from leanboom.kernels import interpolate, layer, within
+from leanboom.layout import (
     AREA_IN,
     AREA_OUT,
     COEFFICIENTS,
@@ -42,12 +35,9 @@ from leanboom.kernels import (
     SETTINGS,
     STAGE_COLUMNS,
     STEP,
-    interpolate,
-    layer,
-    within,
 )
 from leanboom.motion import Motion
-from leanboom.stages import Grid, Problem
+from leanboom.stages import Problem
 from leanboom.viability import Viable
 
 GRID = (801, 201)  # positions and velocities of a policy over everything feasible
@@ -155,8 +145,8 @@ def _lines(grid: Grid, step: float, k: int) -> np.ndarray:
 
 def make(problem: Problem, cost: str, viable: Viable, beside: Motion) -> Guide:
     """The guide of a problem: solve it on a grid of everything feasible and on one around a motion."""
-    full = stages.full_grid(problem, *GRID)
-    tube = stages.tube_grid(problem, beside.position, beside.velocity, WIDTH, SPREAD, *TUBE)
+    full = grids.full_grid(problem, *GRID)
+    tube = grids.tube_grid(problem, beside.position, beside.velocity, WIDTH, SPREAD, *TUBE)
     return Guide((dp.solve(problem, full, cost), dp.solve(problem, tube, cost)), viable)
 
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import dp, hydraulics, motion, stages
+from leanboom import dp, feasible_strokes, grids, hydraulics, motion, stages, starts
 from leanboom.continuation import Continuation
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.judge import Evaluation, check_measurable, evaluate
@@ -85,7 +85,7 @@ def price(problem: Problem, cost: str) -> Price:
         against = np.sign(load)  # 1 m/s, the way its load is against it
         pressure = max(pressure, float(hydraulics.counted_pressure(against, load, machine.driven_velocity, *line)))
     supply = of_pump(cost, pressure + machine.pump.ls_margin, machine.pump.constant_pressure)
-    shortest, longest = stages.stroke_range(problem.task)
+    shortest, longest = feasible_strokes.stroke_range(problem.task)
     return Price(
         low,
         high,
@@ -133,7 +133,7 @@ def plan_receding(
     count = max(2, int(np.ceil(task.duration / step - 1e-9)))
     step = task.duration / count
     ahead, often = max(2, round(horizon / step)), max(1, round(every / step))
-    start = dp.start_position(
+    start = starts.start_position(
         stages.discretise(replace(task, path=Part(task.path, 0.0, 2 * step), smooth=None), step), task.start
     )
     assert start is not None
@@ -178,7 +178,7 @@ def _plan(
     problem = stages.discretise(known, step)
     end = None if last == count else price(problem, cost)
     search = Search(problem, cost, position, velocity, end, TUBE)
-    best = search.refine(search.solve(stages.full_grid(problem, *grid)), LEVELS)
+    best = search.refine(search.solve(grids.full_grid(problem, *grid)), LEVELS)
     if previous is None:
         return best
     other = search.refine(evaluate(known, track(search, previous, first * step)), NEAR)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import dp, hydraulics, polish, stages
+from leanboom import dp, feasible_strokes, grids, hydraulics, polish, stage_arrays
 from leanboom.judge import PATH_TOLERANCE, TOLERANCE
 from leanboom.motion import Motion
 from leanboom.objective import of_pump
@@ -52,7 +52,7 @@ def measure(problem: Problem, candidate: Motion, pump: str) -> Measured:
     pose = cranes.pose(crane, problem.plane[:-1], candidate.position[:-1])
     moving = cranes.move(pose, candidate.velocity[:-1], candidate.acceleration)
     force = cranes.forces(pose, moving)
-    flow, pressure, _ = stages.prescribed(problem, pump)
+    flow, pressure, _ = stage_arrays.prescribed(problem, pump)
     flow, pressure = flow[:-1], pressure[:-1]
     used = max(np.max(problem.lower - candidate.position), np.max(candidate.position - problem.upper)) / PATH_TOLERANCE
     used = max(used, abs(candidate.velocity[-1]) / PATH_TOLERANCE)
@@ -84,7 +84,7 @@ def improve(problem: Problem, seed: Measured, pump: str, free: bool) -> Measured
         The best motion found that keeps the limits; the seed where there is none.
     """
     polisher = polish.build(problem, pump)
-    low, high = stages.stroke_range(problem.task)
+    low, high = feasible_strokes.stroke_range(problem.task)
     limit = problem.crane.machine.redundant.velocity_limit
     best = _keeping(polisher, seed, free)
     for level in range(LEVELS):
@@ -92,7 +92,7 @@ def improve(problem: Problem, seed: Measured, pump: str, free: bool) -> Measured
             share = 0.5**level
             at = best.motion
             width, spread = share * WIDTH * (high - low), share * SPREAD * 2.0 * limit
-            policy = dp.solve(problem, stages.tube_grid(problem, at.position, at.velocity, width, spread, *TUBE), pump)
+            policy = dp.solve(problem, grids.tube_grid(problem, at.position, at.velocity, width, spread, *TUBE), pump)
             start = dp.best_start(policy) if free else float(at.position[0])
             found = measure(problem, dp.rollout(policy, start), pump)
             if best.keeps_limits and found.energy >= best.energy:

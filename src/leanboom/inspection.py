@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import files, hydraulics, kinematics, limit_checks, linkages, shaft
+from leanboom import feasible_strokes, files, hydraulic_drives, kinematics, limit_checks, shaft
 from leanboom.errors import InfeasibleError, LeanboomError, Problem
-from leanboom.machine import Body, EfficiencyMap, Machine
+from leanboom.machine import Body, Machine
+from leanboom.pump_types import EfficiencyMap
 from leanboom.source import read, shortened, unusable
 from leanboom.task import sample
 
@@ -89,12 +90,12 @@ def reach(machine: Machine) -> Reach:
 def _pressures(machine: Machine, joints: tuple[float, float, float], payload: float) -> tuple[float, ...]:
     """Static pressures [Pa] that carry the crane and a payload [kg] in a pose; 0 for a base."""
     load = Body("payload", "tilt", payload, machine.payload_along, machine.payload_above, 0.0, 1.0)
-    drives = hydraulics.drives(machine)
+    drives = hydraulic_drives.drives(machine)
     crane = cranes.Crane(machine, (*machine.bodies, load), drives)
     _, torques = cranes.inertia_and_gravity(crane, *joints)
     found = []
     for cylinder, drive, q, torque in zip(machine.cylinders[-3:], drives[-3:], joints, torques, strict=True):
-        force = float(torque) / float(linkages.cylinder(cylinder.linkage, q)[1])
+        force = float(torque) / float(cylinder.linkage.length_arm_slope(q)[1])
         out, back = drive.gain_out * force + drive.back_out, drive.back_in - drive.gain_in * force
         found.append(max(0.0, out if force >= 0.0 else back))
     return (0.0,) * (len(machine.cylinders) - 3) + tuple(found)
@@ -176,15 +177,13 @@ def path(task: Task) -> PathFacts:
     Raises:
         InfeasibleError: If the tool cannot be everywhere on its path, or not that fast, whatever the extension does.
     """
-    from leanboom import stages
-
     time = limit_checks.times(task.path, np.linspace(0.0, task.duration, 1001))
     points = sample(task, time)
     length = float(np.linalg.norm(np.diff(points.point, axis=0), axis=1).sum())
     fastest = float(np.linalg.norm(points.velocity, axis=1).max())
     crane = cranes.build(task)
     plane = cranes.plane(task.machine, points)
-    intervals = stages.feasible_strokes(task, crane, plane, time)
+    intervals = feasible_strokes.feasible_strokes(task, crane, plane, time)
     low, high = (np.array([ends.ravel()[i] for ends in intervals]) for i in (0, -1))
     haste = least_haste(crane, plane, low, high)
     worst = int(haste.argmax())

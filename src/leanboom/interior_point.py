@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from leanboom.compiling import njit
-from leanboom.kernels import COEFFICIENTS
+from leanboom.layout import COEFFICIENTS
 from leanboom.program import (
     DERIVATIVES,
     C,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import enclosure, kernels
+from leanboom import enclosure, layout
 from leanboom.enclosure import Enclosure
 from leanboom.motion import Motion
 from leanboom.stages import Problem
@@ -90,7 +90,7 @@ def _enclosed(problem: Problem, stage: np.ndarray, middle: np.ndarray, half: np.
         motions = [cranes.move(pose, w, u) for w, u in ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
     still, forth = motions[:2]
     cylinders = range(len(problem.crane.machine.cylinders))[problem.moving]
-    out = np.empty((stage.size, len(cylinders), kernels.COEFFICIENTS, 4))
+    out = np.empty((stage.size, len(cylinders), layout.COEFFICIENTS, 4))
     with np.errstate(all="ignore"):
         for m, i in enumerate(cylinders):
             columns = [still.velocity[i], forth.velocity[i] - still.velocity[i]]

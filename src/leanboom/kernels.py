@@ -25,22 +25,55 @@ from leanboom.compiling import njit
 from leanboom.dynamics import friction
 from leanboom.formula import enable_in_kernels
 from leanboom.hydraulics import cylinder_flow, pump_losses, pump_power, recuperating_flow
-from leanboom.objective import COSTS
+from leanboom.layout import (
+    A0,
+    A1,
+    A_MAX,
+    AREA_IN,
+    AREA_OUT,
+    B0,
+    B1,
+    B2,
+    B3,
+    BACK_IN,
+    BACK_OUT,
+    C_LO,
+    COST,
+    COULOMB,
+    DC,
+    DRAG,
+    DW,
+    EFFICIENCY,
+    EPSILON,
+    F0,
+    F1,
+    F2,
+    F3,
+    FIXED_COST,
+    FIXED_FLOW,
+    FIXED_PRESSURE,
+    GAIN_IN,
+    GAIN_OUT,
+    IDLE,
+    LEAK,
+    MARGIN,
+    PISTON,
+    ROD_SIDE,
+    SHARPNESS,
+    SLOPE_A,
+    SLOPE_C,
+    SLOPE_V,
+    SLOPE_W,
+    STEP,
+    SUPPLY_CP,
+    V_MAX,
+    VISCOUS,
+    W_LO,
+)
+from leanboom.objective import ACTUATOR, CP, EXTENSION, LS, RECUPERATION, VELOCITY
 
 enable_in_kernels()
 
-# Columns of a node's coefficient table, (stages + 1, positions, moving cylinders, COEFFICIENTS).
-A0, A1, B0, B1, B2, B3, F0, F1, F2, F3, COULOMB = range(11)
-COEFFICIENTS = 11
-# Columns of the stage table, (stages + 1, STAGE_COLUMNS). All stages share one spacing of velocities, DW.
-C_LO, DC, W_LO, DW, FIXED_FLOW, FIXED_PRESSURE, FIXED_COST = range(7)
-STAGE_COLUMNS = 7
-# Columns of the cylinder table, (moving cylinders, CYLINDER_COLUMNS).
-AREA_OUT, AREA_IN, GAIN_OUT, BACK_OUT, GAIN_IN, BACK_IN, SHARPNESS, VISCOUS, V_MAX, A_MAX, PISTON, ROD_SIDE = range(12)
-CYLINDER_COLUMNS = 12
-# Entries of the setting vector.
-STEP, COST, EPSILON, SUPPLY_CP, MARGIN, EFFICIENCY, SLOPE_C, SLOPE_W, SLOPE_V, SLOPE_A, IDLE, LEAK, DRAG = range(13)
-SETTINGS = 13
 # Rows of `Row.state`: least cost to go [J], its control [m/s^2], cost whatever the control [J], cost per pressure
 # [J/Pa] or power [s], cost per control [J s^2/m], 1 where the cost is not one line over the control, else 0, least and
 # largest admissible control [m/s^2]; the rest is scratch: cost of a control, flow, shares within a cell along positions
@@ -52,8 +85,6 @@ STATE_ROWS = 13
 LOAD, GAIN, P0, P1 = range(4)
 LINE_ROWS = 4
 
-LS, CP, ACTUATOR = COSTS["ls"], COSTS["cp"], COSTS["actuator"]
-VELOCITY, EXTENSION, RECUPERATION = COSTS["velocity"], COSTS["extension"], COSTS["recuperation"]
 MIN_GAIN = 1e-9  # a cylinder whose acceleration depends less than this on the control is prescribed
 SWITCH_SHIFT = 1e-7  # switches are tried this far on the unloaded side [m/s^2]
 ROUNDING = 1e-9  # nodes this far beyond the ends of a row's controls are still looked at

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from leanboom import linkages
 from leanboom.judge import TOLERANCE, Evaluation
 
 END = 0.995  # from this use of its range on, a joint is at its end
@@ -43,7 +42,7 @@ def ends(evaluation: Evaluation) -> dict[str, str]:
         low, high = float(share[:, j].min()), float(share[:, j].max())
         if max(-low, high) > TOLERANCE:
             continue
-        near, far = (float(linkages.cylinder(cylinder.linkage, q)[0]) for q in (joint.lower, joint.upper))
+        near, far = (float(cylinder.linkage.length_arm_slope(q)[0]) for q in (joint.lower, joint.upper))
         names = ("retracted", "extended") if near <= far else ("extended", "retracted")
         reached = [name for name, at in zip(names, (low <= -END, high >= END), strict=True) if at]
         if reached:

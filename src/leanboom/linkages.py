@@ -1,4 +1,4 @@
-"""Cylinder length, torque arm and its slope for every linkage: eqs. (10)-(15), 4-DOF; eq. (30), 3-DOF paper.
+"""Linkages between cylinder and joint: length, torque arm and its slope, eqs. (10)-(15), 4-DOF; eq. (30), 3-DOF paper.
 
 | symbol | name | unit |
 | --- | --- | --- |
@@ -14,7 +14,6 @@ from __future__ import annotations
 import numpy as np
 
 from leanboom.formula import formula
-from leanboom.machine import FourBar, Linkage, Polynomial, RackAndPinion, Telescope
 
 
 @formula
@@ -64,25 +63,3 @@ def four_bar(q, L21, L22, L23, L24, L25, a21, a22, b21):
     arm = L21 * L25 * np.sin(b22) / c  # dc / db22
     slope = (L21 * L25 * np.cos(b22) - arm * arm) / c
     return c, arm * db22, slope * db22 * db22 + arm * ddb22
-
-
-def cylinder(linkage: Linkage, q):
-    """Length [m], signed torque arm dc/dq and its slope of a cylinder at joint position q."""
-    if isinstance(linkage, RackAndPinion):
-        return linkage.arm * q, linkage.arm + 0.0 * q, 0.0 * q
-    if isinstance(linkage, Telescope):
-        return linkage.ratio * q, linkage.ratio + 0.0 * q, 0.0 * q
-    if isinstance(linkage, FourBar):
-        k = linkage
-        return four_bar(q, k.L21, k.L22, k.L23, k.L24, k.L25, k.a21, k.a22, k.b21)
-    if isinstance(linkage, Polynomial):
-        c = r = s = 0.0 * q
-        for coefficient in linkage.coefficients:  # Horner's rule for value and two derivatives
-            s = s * q + 2.0 * r
-            r = r * q + c
-            c = c * q + coefficient
-        return c, r, s
-    return triangle(q, linkage.long, linkage.short, linkage.angle)
-
-
-__all__ = ["cylinder", "four_bar", "triangle"]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from leanboom import kernels
+from leanboom import kernels, layout
 from leanboom.compiling import njit
 
 
@@ -49,16 +49,16 @@ def control(coefficients, outside, stage, cylinder, setting, values, k, share, c
     moving, columns = coefficients.shape[2], coefficients.shape[3]
     x = np.empty(2)
     for ahead in range(2):
-        x[ahead] = (c - stage[k + ahead, kernels.C_LO]) / stage[k + ahead, kernels.DC]
+        x[ahead] = (c - stage[k + ahead, layout.C_LO]) / stage[k + ahead, layout.DC]
     flat = coefficients.reshape((coefficients.shape[0], coefficients.shape[1], moving * columns))
     node = between(flat, k, x, share).reshape((moving, columns))
     off = between(outside.reshape((outside.shape[0], outside.shape[1], 1)), k, x, share)[0]
     now = stage[k : k + 1].copy()
-    for column in (kernels.FIXED_FLOW, kernels.FIXED_PRESSURE, kernels.FIXED_COST):
+    for column in (layout.FIXED_FLOW, layout.FIXED_PRESSURE, layout.FIXED_COST):
         if share > 0.0:
             now[0, column] = (1.0 - share) * stage[k, column] + share * stage[k + 1, column]
     rest = setting.copy()
-    rest[kernels.STEP] = (1.0 - share) * setting[kernels.STEP]
+    rest[layout.STEP] = (1.0 - share) * setting[layout.STEP]
     row = kernels.empty_row(1, moving, values.shape[2])
     ahead_layer = kernels.layer(values[k + 1], stage, setting, k + 1)
     kernels.best_controls(node, off, c, np.full(1, w), 0, now, cylinder, rest, ahead_layer, row)

@@ -1,8 +1,7 @@
 """A hydraulic crane as data: geometry, joints, linkages, cylinders, bodies, pump.
 
 Everything here is SI, immutable and free of behaviour beyond checked and trivially derived values. Files become
-these types in `files.py`; the formulas that use them are in `kinematics`, `linkages`, `dynamics` and
-`hydraulics`; `crane.py` puts the two together.
+these types in `files`; `crane` puts them and the formulas together.
 
 The cranes covered have an optional slewing base, a lift joint, a tilt joint with an optional offset and
 a telescoping extension, the redundant joint. Joint order is always base (if any), lift, tilt, extension.
@@ -11,21 +10,16 @@ a telescoping extension, the redundant joint. Joint order is always base (if any
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import Enum
 
 from leanboom import ranges
 from leanboom.errors import InputError
-from leanboom.ranges import checked, hold, listed
+from leanboom.friction import Friction
+from leanboom.linkage_types import Linkage
+from leanboom.pump_types import Pump
+from leanboom.ranges import hold
+from leanboom.valve_types import Connection, Valve
 
 STANDARD_GRAVITY = 9.80665  # g_n, CGPM 1901 [m/s^2]
-
-
-class Connection(Enum):
-    """How a cylinder's chambers are connected to its valve, which decides the pump flow it needs."""
-
-    STANDARD = "standard"  # A v extending, B |v| retracting
-    SINGLE_ACTING = "single_acting"  # rod side drained: no pump flow retracting
-    DIFFERENTIAL = "differential"  # regenerative: (A - B) v extending, B |v| retracting
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,85 +54,6 @@ class Joint:
             raise InputError(
                 f"joints.{self.name} = [{self.lower:.6g}, {self.upper:.6g}]; the lower end must be below the upper end"
             )
-
-
-@dataclass(frozen=True, slots=True)
-class RackAndPinion:
-    """Constant torque arm [m]: the pinion's pitch radius."""
-
-    arm: float
-
-    def __post_init__(self) -> None:
-        hold(self, "linkage", arm=ranges.POSITIVE_LENGTH)
-
-
-@dataclass(frozen=True, slots=True)
-class Triangle:
-    """Cylinder spanning a joint: c^2 = long^2 + short^2 - 2 long short cos(q + angle). Eq. (13), eq. (30)."""
-
-    long: float  # [m]
-    short: float  # [m]
-    angle: float  # [rad]; q(0) of eq. (30), pi/2 - b11 - b12 of eq. (13)
-
-    def __post_init__(self) -> None:
-        hold(self, "linkage", long=ranges.POSITIVE_LENGTH, short=ranges.POSITIVE_LENGTH, angle=ranges.ANGLE)
-
-
-@dataclass(frozen=True, slots=True)
-class FourBar:
-    """Cylinder driving a joint through lever and coupler, eq. (14); names as in the 4-DOF paper [m, rad]."""
-
-    L21: float
-    L22: float
-    L23: float
-    L24: float
-    L25: float
-    a21: float
-    a22: float
-    b21: float
-
-    def __post_init__(self) -> None:
-        bars = dict.fromkeys(("L21", "L22", "L23", "L24", "L25"), ranges.POSITIVE_LENGTH)
-        hold(self, "linkage", **bars, **dict.fromkeys(("a21", "a22", "b21"), ranges.ANGLE))
-
-
-@dataclass(frozen=True, slots=True)
-class Polynomial:
-    """Cylinder length as a polynomial of the joint angle, highest power first; the quintic of eq. (14) [m]."""
-
-    coefficients: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        given = listed("linkage.coefficients", self.coefficients, "2 to 12 numbers, highest power first", 2, 12)
-        kept = tuple(checked(f"linkage.coefficients[{i}]", value, ranges.NUMBER) for i, value in enumerate(given))
-        object.__setattr__(self, "coefficients", kept)
-
-
-@dataclass(frozen=True, slots=True)
-class Telescope:
-    """Extension cylinder: length = ratio x joint; 1/2 where a chain doubles the stroke (r4 of the paper)."""
-
-    ratio: float
-
-    def __post_init__(self) -> None:
-        hold(self, "linkage", ratio=ranges.POSITIVE_NUMBER)
-
-
-Linkage = RackAndPinion | Triangle | FourBar | Polynomial | Telescope
-
-
-@dataclass(frozen=True, slots=True)
-class Friction:
-    """Cylinder friction: (coulomb x steps(q) x tanh(sharpness v) + viscous v). Eqs. (A3)-(A4) for the steps."""
-
-    coulomb: float  # [N]
-    sharpness: float  # K of the tanh [s/m], acting on the cylinder's velocity (see `joint_velocity`)
-    viscous: float = 0.0  # [N s/m]
-    steps: tuple[float, float, float, float] | None = None  # q_f1..q_f4 [m], extension joint positions
-    joint_velocity: bool = False  # the tanh sees the joint's velocity instead, as eq. (A3) is printed
-
-    def __post_init__(self) -> None:
-        hold(self, "friction", coulomb=ranges.FORCE, sharpness=ranges.SHARPNESS, viscous=ranges.VISCOUS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,70 +98,6 @@ class Body:
             self, f"bodies.{self.name}", mass=ranges.LEAST_MASS, along=ranges.LENGTH, above=ranges.LENGTH,
             inertia=ranges.INERTIA, extension_share=ranges.SHARE,
         )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class MobileValve:
-    """Pressure-compensated mobile valve: steady state of eqs. (23)-(24) and (27)-(28)."""
-
-    compensator_drop: float  # delta p_c [Pa]
-    extend_coefficient: float  # Coeff. of eq. (24): p_B = coefficient x drop + tank while extending
-    retract_coefficient: float  # Coeff. of eq. (23): p_A = coefficient x drop + tank while retracting
-    regenerative_ratio: float  # K_vPA / K_vBP of eq. (27)
-
-    def __post_init__(self) -> None:
-        hold(
-            self, "valve", compensator_drop=ranges.PRESSURE, extend_coefficient=ranges.COEFFICIENT,
-            retract_coefficient=ranges.COEFFICIENT, regenerative_ratio=ranges.COEFFICIENT,
-        )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class IndependentMetering:
-    """Separate meter-in and meter-out edges, eqs. (34)-(35): a chosen back pressure in the off-side chamber."""
-
-    back_pressure: float  # [Pa], planning value (0 in the paper)
-    offside_pressure: float  # [Pa], held in the closed-loop simulation (1 MPa in the paper)
-
-    def __post_init__(self) -> None:
-        hold(self, "valve", back_pressure=ranges.PRESSURE, offside_pressure=ranges.PRESSURE)
-
-
-Valve = MobileValve | IndependentMetering
-
-
-@dataclass(frozen=True, slots=True)
-class EfficiencyMap:
-    """Efficiency of pump and drive together, measured over speed, displacement and pressure; axes rise.
-
-    Displacement is the delivered flow over the speed.
-    """
-
-    speed: float  # of the drive, within `speeds` [rev/s]
-    speeds: tuple[float, ...]  # [rev/s]
-    displacements: tuple[float, ...]  # [m^3/rev]
-    pressures: tuple[float, ...]  # [Pa]
-    total: tuple[tuple[tuple[float, ...], ...], ...]  # (speeds, displacements, pressures)
-
-
-@dataclass(frozen=True, slots=True)
-class Pump:
-    """The pump and its two ways to be run. Efficiency is that of pump and drive together (eqs. 36, 43)."""
-
-    constant_pressure: float  # CP supply [Pa]
-    ls_margin: float  # delta p_LS [Pa]
-    max_pressure: float  # [Pa]
-    max_flow: float  # [m^3/s]
-    tank_pressure: float = 0.0  # [Pa]
-    efficiency: float | EfficiencyMap = 1.0  # what becomes of it is in `shaft`
-
-    def __post_init__(self) -> None:
-        hold(
-            self, "pump", constant_pressure=ranges.POSITIVE_PRESSURE, ls_margin=ranges.PRESSURE,
-            max_pressure=ranges.POSITIVE_PRESSURE, max_flow=ranges.FLOW, tank_pressure=ranges.PRESSURE,
-        )  # fmt: skip
-        if not isinstance(self.efficiency, EfficiencyMap):
-            hold(self, "pump", efficiency=ranges.EFFICIENCY)
 
 
 @dataclass(frozen=True, slots=True)

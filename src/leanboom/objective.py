@@ -18,6 +18,8 @@ COSTS = {
     "extension": 4,  # squared velocity of the extension cylinder [m^2/s]
     "recuperation": 5,  # CP energy with return flow reused, eq. (37), 3-DOF paper [J]
 }
+LS, CP, ACTUATOR = COSTS["ls"], COSTS["cp"], COSTS["actuator"]
+VELOCITY, EXTENSION, RECUPERATION = COSTS["velocity"], COSTS["extension"], COSTS["recuperation"]
 
 
 def of_pump(pump: str, ls: Value, cp: Value) -> Value:

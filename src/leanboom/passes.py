@@ -9,21 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from leanboom.compiling import njit
-from leanboom.kernels import (
-    C_LO,
-    COEFFICIENTS,
-    CONTROL,
-    DC,
-    DW,
-    STEP,
-    VALUE,
-    W_LO,
-    best_controls,
-    empty_row,
-    interpolate,
-    layer,
-    within,
-)
+from leanboom.kernels import CONTROL, VALUE, best_controls, empty_row, interpolate, layer, within
+from leanboom.layout import C_LO, COEFFICIENTS, DC, DW, STEP, W_LO
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leanboom import cells, certificate, compiling, dp, incumbent, polish, ranges, stages
+from leanboom import cells, certificate, compiling, dp, incumbent, polish, ranges, stages, starts
 from leanboom.certificate import Certificate
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.judge import Evaluation, check_measurable, evaluate
@@ -254,7 +254,7 @@ def _by(method: str, search: Search, seeds: Sequence[Motion]) -> Evaluation:
     if method == "polish":
         return search.polish_alone()
     task = search.task
-    start = dp.start_position(stages.discretise(task, search.step), task.start)
+    start = starts.start_position(stages.discretise(task, search.step), task.start)
     if start is None:
         raise InputError(f"start = best; method {method} needs smallest, middle or a length")
     answer = _other_method(method, search, start)
@@ -293,7 +293,7 @@ def _explain(search: Search, best: Evaluation) -> str:
     task, step = search.task, search.step
     search.tell("looking for a proof that there is no motion", 0.9)
     problem = stages.discretise(task, step)
-    proven = cells.excludes_motion(problem, dp.start_position(problem, task.start))
+    proven = cells.excludes_motion(problem, starts.start_position(problem, task.start))
     said = f"no feasible motion{' (proven)' if proven else ' found'}: {best.status}"
     search.tell("looking for the shortest feasible duration", 0.92)
     try:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from leanboom import summaries
 from leanboom.errors import InputError
 from leanboom.terminal import (
     Json,
@@ -101,7 +102,7 @@ def plan(
             runfolder.write(result, out, nodes)
         proof = result.certificate
     if as_json:
-        print_json(runfolder.summary(result, out) | ({} if proof is None else proof.json()))
+        print_json(summaries.summary(result, out) | ({} if proof is None else proof.json()))
     else:
         from leanboom import outcomes
         from leanboom.console import output
@@ -135,7 +136,7 @@ def certify(
 ) -> None:
     """Plan a task and prove how far from the optimum the plan can be."""
     _, stage = settings("101x51", step)
-    from leanboom import certificate, files, planner, runfolder
+    from leanboom import certificate, files, planner
 
     limit, least = duration("seconds", seconds), percent("gap", gap)
     certificate.check(pump, stage, limit, least)
@@ -146,7 +147,7 @@ def certify(
             asked, pump, motion=result.motion, step=stage, seconds=limit, gap=least, progress=tell
         )
     if as_json:
-        print_json(runfolder.summary(result) | proof.json())
+        print_json(summaries.summary(result) | proof.json())
     else:
         from leanboom import proofs
         from leanboom.console import output

@@ -25,10 +25,11 @@ from typing import Any
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import dynamics, fluid, linkages, valves
+from leanboom import dynamics, fluid, valves
 from leanboom.crane import Crane
-from leanboom.machine import Connection, Cylinder, Machine
+from leanboom.machine import Cylinder, Machine
 from leanboom.task import Task
+from leanboom.valve_types import Connection
 
 END_TRAVEL = 5e-4  # [m], how far a cylinder's end gives under the cylinder's force at constant pressure
 ENERGIES = ("pump", "valves", "friction", "oil")
@@ -125,7 +126,7 @@ class Mechanism:
 
 def retracted(cylinder: Cylinder, lower: float, upper: float) -> tuple[float, float]:
     """Length of a cylinder at the end of its joint's range where it is shortest [m], and its travel [m]."""
-    ends = [float(linkages.cylinder(cylinder.linkage, q)[0]) for q in (lower, upper)]
+    ends = [float(cylinder.linkage.length_arm_slope(q)[0]) for q in (lower, upper)]
     return min(ends), abs(ends[1] - ends[0])
 
 
@@ -195,7 +196,7 @@ def _crane_motion(crane: Crane, q: list, v: list) -> Mechanism:
     for cylinder, joint, sharp, q_i, v_i in zip(
         machine.cylinders, machine.joints, cranes.sharpness(crane), q, v, strict=True
     ):
-        length, arm, _ = linkages.cylinder(cylinder.linkage, q_i)
+        length, arm, _ = cylinder.linkage.length_arm_slope(q_i)
         speed = arm * v_i
         level = cylinder.friction.coulomb
         if cylinder.friction.steps is not None:
@@ -231,7 +232,7 @@ def _statics(crane: Crane, q: list) -> tuple[list, list]:
     if machine.geometry.slewing:
         torque.insert(0, 0.0)
         inertias.insert(0, cranes.slewing(crane, tuple(boom), (0.0, 0.0, 0.0))[0])
-    arms = [linkages.cylinder(c.linkage, joint)[1] for c, joint in zip(machine.cylinders, q, strict=True)]
+    arms = [c.linkage.length_arm_slope(joint)[1] for c, joint in zip(machine.cylinders, q, strict=True)]
     forces = [t / arm for t, arm in zip(torque, arms, strict=True)]
     return forces, [i / (arm * arm) for i, arm in zip(inertias, arms, strict=True)]
 

@@ -24,12 +24,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from leanboom import cost_scale, feasible_strokes, hydraulics, interior_point, layout, motion, program, stage_arrays
 from leanboom import crane as cranes
-from leanboom import dp, hydraulics, interior_point, kernels, motion, program, stages
 from leanboom.motion import Motion
 from leanboom.objective import COSTS
 from leanboom.shaft import shaft_of
-from leanboom.stages import HELD, Problem, prescribed
+from leanboom.stage_arrays import HELD, prescribed
+from leanboom.stages import Problem
 
 LITRE, MEGA = 1e3, 1e-6  # flow in l/s, pressure in MPa: their product is kW
 FORCE = 1e-5  # scale of the rows that keep a load's sign [1/N]
@@ -68,10 +69,10 @@ def build(problem: Problem, cost: str) -> Polisher:
     """Tabulate the polishing problem for a cost of `objective.COSTS`."""
     shares = program.graded(POSITIONS)
     positions = problem.lower[:, None] + (_last(problem) - problem.lower)[:, None] * shares
-    strokes = np.linspace(*stages.stroke_range(problem.task), FRICTION_STEPS + 1)
+    strokes = np.linspace(*feasible_strokes.stroke_range(problem.task), FRICTION_STEPS + 1)
     pose = cranes.pose(problem.crane, problem.plane[0], strokes)
     coulomb = [np.broadcast_to(level, strokes.shape) for level in pose.coulomb[problem.moving]]
-    return Polisher(problem, cost, stages.coefficients(problem, positions), np.array(coulomb))
+    return Polisher(problem, cost, stage_arrays.coefficients(problem, positions), np.array(coulomb))
 
 
 def _last(problem: Problem) -> np.ndarray:
@@ -148,7 +149,7 @@ def solve(
     mode = _mode_parameters(polisher, switches)
     stated = _program(polisher, seed, switches, mode, free_start, share)
     guess = _guess(polisher, seed, switches, mode)
-    unit = program.MILLI * dp.energy_scale(problem, polisher.cost)
+    unit = program.MILLI * cost_scale.energy_scale(problem, polisher.cost)
     answer, solved, count = interior_point.minimise(stated, guess, BARRIER * unit, LAST_BARRIER * unit, ITERATIONS)
     text = f"{'solved' if solved else 'not solved'} in {count} iterations"
     if not solved:
@@ -198,8 +199,8 @@ def _program(
     supply = MEGA * (machine.pump.ls_margin if polisher.pressures else machine.pump.constant_pressure)
     return program.Program(
         problem.step, COSTS[polisher.cost], free_start, polisher.coefficients, problem.lower, _last(problem),
-        polisher.coulomb, np.array(stages.stroke_range(problem.task)), low, high, mode, pressure * MEGA, flow * LITRE,
-        np.array(constants).T.copy(), np.array([supply, *shaft_of(machine.pump).in_kilowatts()]), counts,
+        polisher.coulomb, np.array(feasible_strokes.stroke_range(problem.task)), low, high, mode, pressure * MEGA,
+        flow * LITRE, np.array(constants).T.copy(), np.array([supply, *shaft_of(machine.pump).in_kilowatts()]), counts,
     )  # fmt: skip
 
 
@@ -253,7 +254,7 @@ def prepare() -> None:
     limit = np.zeros((count + 1, 1 + n))
     node, pump = np.zeros(count + 1), np.ones(5)
     counts = program.limits(np.zeros(program.empty_limits(count, n).every.size, dtype=np.bool_), count, n)
-    table = np.zeros((count + 1, POSITIONS, n, kernels.COEFFICIENTS))
+    table = np.zeros((count + 1, POSITIONS, n, layout.COEFFICIENTS))
     stated = program.Program(
         1.0, 0, False, table, node, node + 1.0, np.zeros((n, 2)), np.arange(2.0), limit, limit,
         np.zeros((2, count, 4, n)), node, node, np.zeros((5, n)), pump, counts,

@@ -24,25 +24,8 @@ import numpy as np
 
 from leanboom.compiling import njit
 from leanboom.hydraulics import pump_power
-from leanboom.kernels import (
-    A0,
-    A1,
-    ACTUATOR,
-    B0,
-    B1,
-    B2,
-    B3,
-    COEFFICIENTS,
-    COULOMB,
-    EXTENSION,
-    F0,
-    F1,
-    F2,
-    F3,
-    LS,
-    RECUPERATION,
-    VELOCITY,
-)  # fmt: skip
+from leanboom.layout import A0, A1, B0, B1, B2, B3, COEFFICIENTS, COULOMB, F0, F1, F2, F3
+from leanboom.objective import ACTUATOR, EXTENSION, LS, RECUPERATION, VELOCITY  # fmt: skip
 
 MILLI = 1e-3  # costs are in thousandths of their units: kJ
 WIDTH = 6  # nodes that a coefficient is interpolated from

@@ -26,7 +26,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from leanboom import crane as cranes
-from leanboom import linkages, motion, stages
+from leanboom import motion, stages
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.motion import Motion
 from leanboom.stages import Problem
@@ -351,7 +351,7 @@ def resolve(task: Task, start_position: float, variant: str = "actuator", step: 
 def _strokes(crane: cranes.Crane) -> np.ndarray:
     """Least and largest length of the cylinders [m], (2, joints)."""
     pairs = zip(crane.machine.cylinders, crane.machine.joints, strict=True)
-    ends = [[linkages.cylinder(c.linkage, q)[0] for q in (joint.lower, joint.upper)] for c, joint in pairs]
+    ends = [[c.linkage.length_arm_slope(q)[0] for q in (joint.lower, joint.upper)] for c, joint in pairs]
     return np.sort(np.array(ends), axis=1).T
 
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leanboom.machine import Machine, Pump
+from leanboom.machine import Machine
+from leanboom.pump_types import Pump
 
 EXCEEDED = 1.001  # a pump is asked for too much above this share of what it gives, as with the limits of a plan
 LEFT_OUT = 0.5  # uncounted work above this share of the load-sensing energy is remarked upon

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leanboom import continuation, dp, motion, stages
+from leanboom import continuation, dp, feasible_strokes, grids, motion, stages
 from leanboom.continuation import Continuation
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.judge import Evaluation, evaluate, judged_cost
@@ -52,17 +52,17 @@ class Search:
             total += float(self.terminal(*end)[0])
         return over, total
 
-    def solve(self, grid: stages.Grid) -> Evaluation:
+    def solve(self, grid: grids.Grid) -> Evaluation:
         """The motion of the dynamic program on a grid, judged."""
         policy = dp.solve(self.problem, grid, self.cost, self.terminal)
         return evaluate(self.problem.task, dp.rollout(policy, self.position, velocity=self.velocity))
 
     def tube(self, around: Motion, half: float) -> Evaluation:
         """The same on a tube around a motion, `half` as wide as the first one."""
-        low, high = stages.stroke_range(self.problem.task)
+        low, high = feasible_strokes.stroke_range(self.problem.task)
         limit = self.problem.crane.machine.redundant.velocity_limit
         widths = half * WIDTH * (high - low), half * SPREAD * limit
-        return self.solve(stages.tube_grid(self.problem, around.position, around.velocity, *widths, *self.nodes))
+        return self.solve(grids.tube_grid(self.problem, around.position, around.velocity, *widths, *self.nodes))
 
     def refine(self, chain: Evaluation, halves: Iterable[float]) -> Evaluation:
         """The best motion of narrower and narrower tubes around a chain of better and better ones."""
@@ -126,7 +126,7 @@ def replan(
 def _coarse(rest: Task, search: Search, step: float, grid: tuple[int, int]) -> Motion:
     """The motion of a coarse program over all feasible extensions, on the stages of the search."""
     problem = stages.discretise(rest, step)
-    policy = dp.solve(problem, stages.full_grid(problem, *grid), search.cost)
+    policy = dp.solve(problem, grids.full_grid(problem, *grid), search.cost)
     return stages.on_stages(search.problem, dp.rollout(policy, search.position, velocity=search.velocity))
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, FiniteFloat, model_validator
 
-from leanboom import __version__, folders, jobs
+from leanboom import __version__, folders, grids, jobs, starts
 from leanboom.errors import InputError, LeanboomError
 from leanboom.experiments import COARSE, EXPERIMENTS, Job, Line, Record, Records
 from leanboom.fingerprint import fingerprint
@@ -170,9 +170,9 @@ def solve(job: Job) -> dict[str, Any]:
     task = replace(job.task, smooth=None)
     if job.method == COARSE:
         problem = stages.discretise(task, STEP)
-        start = dp.start_position(problem, task.start)
+        start = starts.start_position(problem, task.start)
         assert start is not None
-        found = dp.rollout(dp.solve(problem, stages.full_grid(problem, *job.grid), job.cost), start)
+        found = dp.rollout(dp.solve(problem, grids.full_grid(problem, *job.grid), job.cost), start)
         first = evaluate(task, found)
     else:
         cost = None if job.method.startswith("sns") else job.cost

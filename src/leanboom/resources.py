@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import re
+
 from leanboom.errors import InputError
 
 USABLE = 0.8  # share of the free memory that may be taken
@@ -31,3 +34,13 @@ def check_memory(need: float, what: str, change: str, limit: float | None = None
     limit = free_memory() if limit is None else limit
     if need > USABLE * limit:
         raise InputError(f"{what} needs {need / 2**30:.1f} GiB, {limit / 2**30:.1f} GiB are free; {change}")
+
+
+def threads() -> int:
+    """Threads a sweep may use: LEANBOOM_THREADS where set, else the processors of this process."""
+    wanted = os.environ.get("LEANBOOM_THREADS", "")
+    if wanted:
+        if not re.fullmatch("[0-9]{1,6}", wanted) or int(wanted) < 1:
+            raise InputError(f"LEANBOOM_THREADS = {wanted}; must be a whole number from 1 on")
+        return int(wanted)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

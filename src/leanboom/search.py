@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leanboom import basins, dp, polish, stages
+from leanboom import basins, dp, feasible_strokes, grids, polish, stages, starts
 from leanboom.errors import LeanboomError
 from leanboom.judge import Evaluation, evaluate, judged_cost
 from leanboom.motion import Motion
@@ -94,7 +94,7 @@ class Search:
             seeds: Motions to look around besides those that the coarse grid shows.
         """
         problem = stages.discretise(self.task, self.step)
-        start = dp.start_position(problem, self.task.start)
+        start = starts.start_position(problem, self.task.start)
         found = [self.descend(problem, seed, start, FIRST_LEVELS) for seed in self.coarse(problem, start)]
         for seed in seeds:
             judged = self.judge(seed, "given motion")
@@ -115,7 +115,7 @@ class Search:
     def look_around(self, seed: Motion) -> Evaluation:
         """The best motion after one more seed, such as one that a proof has found."""
         problem = stages.discretise(self.task, self.step)
-        start = dp.start_position(problem, self.task.start)
+        start = starts.start_position(problem, self.task.start)
         before = self.known_best()
         judged = self.judge(seed, "given motion")
         if judged_cost(judged, self.cost) <= LEADING * judged_cost(before, self.cost):
@@ -137,7 +137,7 @@ class Search:
         self.span = problem.pace
         while True:
             self.tell(f"coarse dynamic program, velocities up to {self.span:.3g} m/s", 0.05)
-            grid = stages.full_grid(problem, *self.grid, self.span)
+            grid = grids.full_grid(problem, *self.grid, self.span)
             policy = dp.solve(problem, grid, self.cost)
             if self.effort.minima > 1:
                 self.tell("local minima", 0.2)
@@ -163,14 +163,14 @@ class Search:
             start: The start of the redundant cylinder [m]; None where it is free.
             levels: How narrow the tubes are.
         """
-        low, high = stages.stroke_range(self.task)
+        low, high = feasible_strokes.stroke_range(self.task)
         chain: Evaluation | None = None
         for level in levels:
             self.tell(f"tubes of 1/{2**level} width", 0.3 + 0.1 * level)
             at = stages.on_stages(problem, seed if chain is None else chain.motion)
             half = 0.5**level
             widths = half * WIDTH * (high - low), half * SPREAD * self.span
-            tube = stages.tube_grid(problem, at.position, at.velocity, *widths, *self.nodes(problem, level))
+            tube = grids.tube_grid(problem, at.position, at.velocity, *widths, *self.nodes(problem, level))
             policy = dp.solve(problem, tube, self.cost)
             moved = dp.rollout(policy, dp.best_start(policy) if start is None else start)
             found = self.judge(moved, f"tube of {widths[0]:.4f} m, {widths[1]:.4f} m/s")
@@ -334,8 +334,8 @@ class Search:
         from leanboom import pseudo_inverse
 
         problem = stages.discretise(self.task, self.step)
-        start = dp.start_position(problem, self.task.start)
-        first = dp.start_position(problem, "middle") if start is None else start
+        start = starts.start_position(problem, self.task.start)
+        first = starts.start_position(problem, "middle") if start is None else start
         assert first is not None
         seed = self.judge(pseudo_inverse.resolve(self.task, first, "actuator"), "pseudo-inverse")
         self.polish(problem, seed.motion, start is None, rounds=4)
@@ -426,7 +426,7 @@ def shortest_duration(
     def feasible(factor: float) -> bool:
         slow = slower(task, factor)
         problem = stages.discretise(slow, step)
-        start = dp.start_position(problem, task.start)
+        start = starts.start_position(problem, task.start)
         quick = (Search(slow, cost, grid, step, EFFORTS["quick"]) for cost in ("cp", "velocity"))
         return any(search.run_once(problem, start).feasible for search in quick)
 

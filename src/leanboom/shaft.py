@@ -1,4 +1,4 @@
-r"""Shaft power of the pump: a constant efficiency, or an efficiency map at the drive's speed made a formula.
+r"""The pump and its shaft power: a constant efficiency, or an efficiency map at the drive's speed made a formula.
 
 A table of efficiencies has no derivatives at its nodes and is slow to look up, so planner, judge and the methods
 compared with use one smooth power instead,
@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from leanboom.hydraulics import pump_power
-from leanboom.machine import EfficiencyMap, Pump
+from leanboom.pump_types import EfficiencyMap, Pump
 
 ALLOWED = 0.03  # typical error of the power from which a map is refused
 

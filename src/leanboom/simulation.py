@@ -21,11 +21,11 @@ from leanboom.errors import InputError
 from leanboom.events import Event
 from leanboom.integrator import TOLERANCE, Integrator, SolverError
 from leanboom.judge import Evaluation, evaluate
-from leanboom.machine import MobileValve
 from leanboom.motion import Motion, headed
 from leanboom.plant import Plant
 from leanboom.shaft import shaft_of
 from leanboom.task import Task, sample
+from leanboom.valve_types import MobileValve
 from leanboom.valves import Spools
 
 PUMPS = ("ls", "cp")

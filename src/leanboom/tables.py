@@ -10,14 +10,15 @@ from rich.text import Text
 
 from leanboom import inspection, shaft
 from leanboom.console import add_row, length, new_table, say, show
-from leanboom.machine import EfficiencyMap
+from leanboom.pump_types import EfficiencyMap
 from leanboom.source import shortened
 from leanboom.task import Spline, Task, written
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from leanboom.machine import Machine, Pump
+    from leanboom.machine import Machine
+    from leanboom.pump_types import Pump
 
 
 def machine_facts(machine: Machine) -> dict[str, Any]:

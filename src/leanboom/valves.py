@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 
 from leanboom.fluid import compensated, gate, opening, orifice
-from leanboom.machine import Connection, Cylinder, IndependentMetering, Machine
+from leanboom.machine import Cylinder, Machine
+from leanboom.valve_types import Connection, IndependentMetering
 
 Value = Any  # float, NumPy array or CasADi symbol
 EDGES = ("P-A", "A-T", "P-B", "B-T")

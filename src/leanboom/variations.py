@@ -11,7 +11,8 @@ from dataclasses import replace
 from math import pi
 from typing import Any
 
-from leanboom.machine import Joint, Linkage, Machine, Triangle
+from leanboom.linkage_types import Linkage, Triangle
+from leanboom.machine import Joint, Machine
 from leanboom.task import Lines, Task
 
 
@@ -98,17 +99,13 @@ def lengthened(machine: Machine, dead: float) -> Machine:
 
 def _ends(linkage: Linkage, joint: Joint) -> tuple[float, float]:
     """Lengths of a cylinder at both ends of its joint's range [m]."""
-    from leanboom import linkages
-
-    low, high = (float(linkages.cylinder(linkage, q)[0]) for q in (joint.lower, joint.upper))
+    low, high = (float(linkage.length_arm_slope(q)[0]) for q in (joint.lower, joint.upper))
     return low, high
 
 
 def _arm(linkage: Linkage, q: float) -> float:
     """Size of a cylinder's torque arm [m]."""
-    from leanboom import linkages
-
-    return abs(float(linkages.cylinder(linkage, q)[1]))
+    return abs(float(linkage.length_arm_slope(q)[1]))
 
 
 def _triangle(near: Triangle, joint: Joint, ends: tuple[float, float], third: Callable[[Triangle], float]) -> Triangle:

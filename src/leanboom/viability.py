@@ -15,7 +15,7 @@ import numpy as np
 from leanboom import cellwise
 from leanboom.cellwise import ON_LIMIT
 from leanboom.compiling import njit
-from leanboom.kernels import COEFFICIENTS
+from leanboom.layout import COEFFICIENTS
 
 BINS = 16  # bins of position in a row of the first level
 STRIPS = 8  # parts of the velocity range, over each of which the acceleration limits are enclosed

@@ -11,25 +11,14 @@ from pydantic import ValidationError
 
 from leanboom.consistency import SIZE_KEYS, areas, stroke
 from leanboom.errors import InputError
-from leanboom.machine import (
-    METERING,
-    Circuit,
-    Cylinder,
-    FourBar,
-    Joint,
-    Linkage,
-    Machine,
-    MobileValve,
-    Polynomial,
-    Provenance,
-    RackAndPinion,
-    Telescope,
-)
+from leanboom.linkage_types import FourBar, Linkage, Polynomial, RackAndPinion, Telescope
+from leanboom.machine import METERING, Circuit, Cylinder, Joint, Machine, Provenance
 from leanboom.rules import Rule, rule_of
 from leanboom.schema import EFFICIENCY_MAP, CylinderKeys, MachineKeys, Section, TaskKeys
 from leanboom.source import STATUSES, Key, dotted, scalar, shortened
 from leanboom.task import Spline, Task, written
 from leanboom.units import KINDS, parse, write
+from leanboom.valve_types import MobileValve
 
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")  # texts that need no quotes
 
