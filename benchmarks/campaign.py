@@ -22,11 +22,15 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 import leanboom as lb
-from leanboom import dp, grids, kinematics, planner, search, stages, starts
-from leanboom.linkage_types import FourBar, Linkage, Polynomial, RackAndPinion, Triangle
-from leanboom.machine import Geometry, Machine
-from leanboom.motion import Motion, from_velocities
-from leanboom.task import Lines, Spline, Task
+from leanboom.components.linkages import FourBar, Linkage, Polynomial, RackAndPinion, Triangle
+from leanboom.dynamic_programming import grids, value_function
+from leanboom.formulas import kinematics
+from leanboom.methods import dp_refined
+from leanboom.model.machine import Geometry, Machine
+from leanboom.model.motion import Motion, from_velocities
+from leanboom.model.task import Lines, Spline, Task
+from leanboom.planning import planner
+from leanboom.problem import stages, starts
 
 METHODS = ("sns-actuator", "dp1", "polish")
 DIRECT = ("pseudospectral", "shooting")
@@ -98,9 +102,11 @@ def has_motion(task: Task) -> bool:
     """Whether a coarse program finds a motion that keeps all limits, or nearly."""
     try:
         problem = stages.discretise(task, 0.05)
-        policy = dp.solve(problem, grids.full_grid(problem, 71, 35), "cp")
+        policy = value_function.solve(problem, grids.full_grid(problem, 71, 35), "cp")
         start = starts.start_position(problem, task.start)
-        found = lb.evaluate(task, dp.rollout(policy, dp.best_start(policy) if start is None else start))
+        found = lb.evaluate(
+            task, value_function.rollout(policy, value_function.best_start(policy) if start is None else start)
+        )
         return found.feasible or found.worst_use < 1.05
     except lb.LeanboomError:
         return False
@@ -209,8 +215,8 @@ def from_random_motions(task: Task, pump: str, count: int, number: int) -> Itera
         velocity = np.gradient(position, problem.step)
         velocity[[0, -1]] = 0.0
         seed = from_velocities(problem.step, float(position[0]), velocity, "random", pump)
-        one = search.Search(task, pump, search.GRID, problem.step)
-        found = one.descend(problem, seed, start, search.NEXT_LEVELS)
+        one = dp_refined.Search(task, pump, dp_refined.GRID, problem.step)
+        found = one.descend(problem, seed, start, dp_refined.NEXT_LEVELS)
         if found.feasible:
             yield found.motion
 
@@ -314,7 +320,7 @@ def main() -> None:
     parser.add_argument("--direct", action="store_true", help="also collocation and shooting (minutes a task)")
     parser.add_argument("--random", type=int, default=0, help="random motions to descend from, a task")
     arguments = parser.parse_args()
-    dp.prepare()
+    value_function.prepare()
     began, done, number = time.perf_counter(), 0, arguments.first
     tallies = [Tally(pump) for pump in arguments.pumps.split(",")]
     while done < arguments.tasks:

@@ -12,10 +12,12 @@ from pathlib import Path
 from scipy.io import loadmat, savemat
 
 import leanboom as lb
-from leanboom import cost_scale, grids, layout, motion, stage_arrays, stages, starts
+from leanboom.dynamic_programming import grids
 from leanboom.errors import InputError
-from leanboom.judge import Evaluation
-from leanboom.task import Task
+from leanboom.evaluation.evaluate import Evaluation
+from leanboom.model import motion
+from leanboom.model.task import Task
+from leanboom.problem import cost_scale, layout, stage_arrays, stages, starts
 
 INFINITE = 100.0  # cost of an infeasible state, in typical costs of the task
 STAGE = {
@@ -32,7 +34,7 @@ SETTING = {
     "step": layout.STEP, "epsilon": layout.EPSILON, "supply_cp": layout.SUPPLY_CP, "margin": layout.MARGIN,
     "efficiency": layout.EFFICIENCY, "idle": layout.IDLE, "leak": layout.LEAK, "drag": layout.DRAG,
 }  # fmt: skip
-COLUMNS = "a0 a1 b0 b1 b2 b3 f0 f1 f2 f3 coulomb"  # of a node's coefficients, in the order of `kernels`
+COLUMNS = "a0 a1 b0 b1 b2 b3 f0 f1 f2 f3 coulomb"  # of a node's coefficients, in the order of `bellman`
 UNITS = {
     "start": "m", "velocities": "1", "time": "s", "outside": "m", "infinite": "J",
     "coefficients": "m/s 1 m/s^2 1/s 1/m 1 N N.s/m N.s^2/m^2 kg N", "c_lo": "m", "dc": "m", "w_lo": "m/s", "dw": "m/s",

@@ -36,11 +36,14 @@ from numpy.random import Generator
 from rich.console import Console
 
 import leanboom as lb
-from leanboom import files, inspection, planner, runfolder, summaries, tables
+from leanboom.cli import machine_tables
+from leanboom.io import loading
+from leanboom.planning import planner, summaries
+from leanboom.report import facts, run_folder
 
-PACKAGE = Path(lb.__file__).parent
+DATA = Path(lb.__file__).parent / "data"
 TEXTS = {
-    kind: {path.stem: path.read_text(encoding="utf-8") for path in sorted((PACKAGE / f"{kind}s").glob("*.yaml"))}
+    kind: {path.stem: path.read_text(encoding="utf-8") for path in sorted((DATA / f"{kind}s").glob("*.yaml"))}
     for kind in ("machine", "task")
 }
 LONGEST = 10_000  # characters of a message
@@ -250,7 +253,7 @@ MUTATIONS = (
 
 
 def mutated_files(
-    numbers: Iterable[int], seed: int, machine: Callable = files.load_machine, task: Callable = files.load_task
+    numbers: Iterable[int], seed: int, machine: Callable = loading.load_machine, task: Callable = loading.load_task
 ) -> Tally:
     """Load mutated files.
 
@@ -286,17 +289,17 @@ def _load_and_write(path: Path, load: Callable) -> None:
     finally:
         seconds = time.process_time() - began
         _require(seconds < SLOWEST, f"read in {seconds:.1f} s of processor time")
-    checked = inspection.check(str(path))
+    checked = facts.check(str(path))
     json.dumps(checked.json(), allow_nan=False)
     shown = io.StringIO()
-    tables.checked(Console(file=shown, width=100), checked, False)
+    machine_tables.checked(Console(file=shown, width=100), checked, False)
     if not _infinite(f"{found.name}\n{getattr(found, 'machine', found).name}"):  # names may be any words
         _require(not _infinite(shown.getvalue()), f"check prints {_infinite(shown.getvalue())}")
     copy = path.with_name("copy.yaml")
     is_task = hasattr(found, "path")
     if is_task:
-        (path.parent / "copied-machine.yaml").write_text(files.dump_machine(found.machine), encoding="utf-8")
-    text = files.dump_task(found, "copied-machine.yaml") if is_task else files.dump_machine(found)
+        (path.parent / "copied-machine.yaml").write_text(loading.dump_machine(found.machine), encoding="utf-8")
+    text = loading.dump_task(found, "copied-machine.yaml") if is_task else loading.dump_machine(found)
     copy.write_text(text, encoding="utf-8")
     try:
         again = load(copy)
@@ -347,7 +350,7 @@ def _drawn(path: Path, tasks: Sequence[str], rng: Generator) -> lb.Task:
         start = str(rng.choice(["smallest", "middle"]))
         path.write_text(re.sub("(?m)^machine: .*", "machine: machine.yaml", text), encoding="utf-8")
         try:
-            return files.load_task(path, start=start)
+            return loading.load_task(path, start=start)
         except lb.InputError:
             continue
 
@@ -425,7 +428,7 @@ def killed_runs(numbers: Iterable[int], seed: int, method: str = "dp", task: str
 def _complete(out: Path) -> None:
     """Raise what is wrong with a run folder."""
     try:
-        runfolder.read(out)
+        run_folder.read(out)
     except lb.LeanboomError as error:
         raise _Wrong(str(error)) from None
 

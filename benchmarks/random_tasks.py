@@ -14,8 +14,11 @@ import time
 import numpy as np
 
 import leanboom as lb
-from leanboom import dp, grids, kinematics, planner, stages, starts
-from leanboom.task import Lines, Spline, Task
+from leanboom.dynamic_programming import grids, value_function
+from leanboom.formulas import kinematics
+from leanboom.model.task import Lines, Spline, Task
+from leanboom.planning import planner
+from leanboom.problem import stages, starts
 
 METHODS = ("sns-joint", "sns-actuator", "sns-actuator-weighted", "dp1", "polish")
 DIRECT = ("pseudospectral", "shooting")
@@ -53,9 +56,9 @@ def has_motion(task: Task) -> bool:
     """Whether a coarse program or the pseudo-inverse finds a motion inside all limits."""
     try:
         problem = stages.discretise(task, 0.05)
-        policy = dp.solve(problem, grids.full_grid(problem, 101, 51), "cp")
+        policy = value_function.solve(problem, grids.full_grid(problem, 101, 51), "cp")
         start = starts.start_position(problem, task.start)
-        coarse = lb.evaluate(task, dp.rollout(policy, problem.lower[0] if start is None else start))
+        coarse = lb.evaluate(task, value_function.rollout(policy, problem.lower[0] if start is None else start))
         return (
             coarse.feasible or planner.run(task, method="sns-actuator", baseline=False, check=False).evaluation.feasible
         )
@@ -69,7 +72,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--direct", action="store_true", help="also collocation and shooting")
     arguments = parser.parse_args()
-    dp.prepare()
+    value_function.prepare()
     began, compared, empty, lost, lead = time.perf_counter(), 0, 0, 0, np.inf
     methods = METHODS + (DIRECT if arguments.direct else ())
     number = arguments.first

@@ -15,7 +15,10 @@ import numpy as np
 
 import leanboom as lb
 from benchmarks.run import machine, title
-from leanboom import continuation, dp, feasible_strokes, grids, horizon, planner, replanning, stages
+from leanboom.dynamic_programming import grids, value_function
+from leanboom.evaluation import safe_stop
+from leanboom.planning import planner, receding_horizon, replanning
+from leanboom.problem import feasible_strokes, stages
 
 TASK = "forwarder-half-cycle"
 HORIZONS = (1.0, 2.0, 3.0, 5.0)  # [s]
@@ -49,8 +52,8 @@ def states(motion: lb.Motion, count: int, last: float) -> list[tuple[float, floa
 def queries(problem: stages.Problem) -> None:
     title(f"Policy.control on {TASK}, 201 x 101 nodes: least / median / 99th percentile")
     for cost in PUMPS:
-        policy = dp.solve(problem, grids.full_grid(problem, 201, 101), cost)
-        motion = dp.rollout(policy, float(problem.lower[0]))
+        policy = value_function.solve(problem, grids.full_grid(problem, 201, 101), cost)
+        motion = value_function.rollout(policy, float(problem.lower[0]))
         asked = states(motion, 4000, problem.time[-1] - 0.1)
         policy.control(*asked[0])
         wall, own = zip(*(measured(policy.control, *state) for state in asked), strict=True)
@@ -80,19 +83,19 @@ def replans(task: lb.Task, plans: dict[str, lb.Motion], count: int) -> None:
 def parts(task: lb.Task, plans: dict[str, lb.Motion]) -> None:
     title("Parts of a re-plan of the whole half-cycle around its plan, processor time: median of 30 [ms]")
     for cost, motion in plans.items():
-        problem = stages.discretise(continuation.rest(task, 0.0), replanning.STEP)
+        problem = stages.discretise(safe_stop.rest(task, 0.0), replanning.STEP)
         search = replanning.Search(problem, cost, float(motion.position[0]), 0.0)
         seed = replanning.track(search, motion, 0.0)
         low, high = feasible_strokes.stroke_range(task)
         limit = problem.crane.machine.redundant.velocity_limit
         widths = replanning.WIDTH * (high - low), replanning.SPREAD * limit
         grid = grids.tube_grid(problem, seed.position, seed.velocity, *widths, *replanning.TUBE)
-        policy = dp.solve(problem, grid, cost)
+        policy = value_function.solve(problem, grid, cost)
         work: dict[str, tuple[Callable[..., object], tuple]] = {
             "feasible extensions": (stages.discretise, (problem.task, replanning.STEP)),
             "tables": (grids.tables, (problem, grid, cost)),
-            "tables and sweep": (dp.solve, (problem, grid, cost)),
-            "rollout": (dp.rollout, (policy, float(seed.position[0]))),
+            "tables and sweep": (value_function.solve, (problem, grid, cost)),
+            "rollout": (value_function.rollout, (policy, float(seed.position[0]))),
             "judge, called twice": (lb.evaluate, (problem.task, seed)),
         }
         values = {
@@ -117,7 +120,7 @@ def horizons() -> None:
                 whole = plan.evaluation.energy(pump)
                 cells = []
                 for length in HORIZONS:
-                    motion = horizon.plan_receding(task, pump=pump, horizon=length, check=False)
+                    motion = receding_horizon.plan_receding(task, pump=pump, horizon=length, check=False)
                     judged = lb.evaluate(task, motion)
                     cells.append(f"{100 * (judged.energy(pump) / whole - 1):+.1f}{'' if judged.feasible else '(!)'}")
                 today = "x" if plan.baseline is None else f"{100 * (plan.baseline.energy(pump) / whole - 1):+.0f}"
@@ -135,7 +138,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=200, help="re-plans that are timed")
     arguments = parser.parse_args()
     machine()
-    dp.prepare()
+    value_function.prepare()
     task = lb.load_task(TASK)
     queries(stages.discretise(task, 0.05))
     plans = {pump: lb.plan(task, pump=pump) for pump in PUMPS}

@@ -24,8 +24,12 @@ import numpy as np
 
 import leanboom as lb
 from benchmarks import certificate
-from leanboom import dp, dp_paper, grids, planner, resources, stages, starts
-from leanboom.judge import judged_cost
+from leanboom import resources
+from leanboom.dynamic_programming import grids, value_function
+from leanboom.evaluation.evaluate import judged_cost
+from leanboom.methods import dp_paper
+from leanboom.planning import planner
+from leanboom.problem import stages, starts
 
 GRID = (356, 101)
 STARTS = ("smallest", "middle", "best")
@@ -77,7 +81,7 @@ def sweep_speed() -> None:
         ours = []
         for _ in range(3):
             began = time.perf_counter()
-            dp.solve(problem, grids.full_grid(problem, *GRID), cost)
+            value_function.solve(problem, grids.full_grid(problem, *GRID), cost)
             ours.append((time.perf_counter() - began) / problem.stages)
         model = dp_paper.model(task, cost)
         ahead = np.zeros((model.positions.size, model.velocities.size))
@@ -165,9 +169,12 @@ def vertical() -> None:
             )
         ]
         for grid in ((201, 101), GRID, (801, 201)):
-            policy = dp.solve(problem, grids.full_grid(problem, *grid), pump)
+            policy = value_function.solve(problem, grids.full_grid(problem, *grid), pump)
             rows.append(
-                (f"dynamic program {grid[0]}x{grid[1]} alone", lb.evaluate(task, dp.rollout(policy, problem.lower[0])))
+                (
+                    f"dynamic program {grid[0]}x{grid[1]} alone",
+                    lb.evaluate(task, value_function.rollout(policy, problem.lower[0])),
+                )
             )
         plan = planner.run(task, pump=pump, baseline=False, check=False).evaluation
         rows.append(("planner: + tubes + polish", plan))
@@ -198,8 +205,8 @@ def convergence() -> None:
     sizes, errors = [], []
     for n in (1, 2, 4, 8, 16):
         grid = (25 * n + 1, 24 * n + 1)
-        policy = dp.solve(problem, grids.full_grid(problem, *grid), "cp")
-        error = lb.evaluate(task, dp.rollout(policy, start)).energy_cp / exact - 1.0
+        policy = value_function.solve(problem, grids.full_grid(problem, *grid), "cp")
+        error = lb.evaluate(task, value_function.rollout(policy, start)).energy_cp / exact - 1.0
         sizes.append(1.0 / n)
         errors.append(max(error, 1e-9))
         print(f"{grid[0]:>5} x {grid[1]:<5} {100 * error:8.3f} %")
@@ -234,7 +241,7 @@ def threads() -> None:
     before, most = os.environ.get("LEANBOOM_THREADS"), max(2, resources.threads())
     for count in (1, most):
         os.environ["LEANBOOM_THREADS"] = str(count)
-        values.append(dp.solve(problem, grids.full_grid(problem, 201, 101), "ls").values)
+        values.append(value_function.solve(problem, grids.full_grid(problem, 201, 101), "ls").values)
     os.environ.pop("LEANBOOM_THREADS")
     if before is not None:
         os.environ["LEANBOOM_THREADS"] = before
@@ -250,7 +257,7 @@ def main() -> None:
     began = time.perf_counter()
     machine()
     start_up()
-    dp.prepare()
+    value_function.prepare()
     sweep_speed()
     planning()
     vertical()

@@ -4,7 +4,7 @@ Prints the time a state of the backward sweep takes, one thread, beside a floor:
 rate this machine reaches on plain vector arithmetic, and its memory traffic at the rate it copies at. Both rates are
 measured here, compiled by the same compiler. Then: tables, threads, growth with stages, positions and velocities.
 
-Operations are counted from the loops of `kernels`, one for each addition, multiplication, comparison, minimum or
+Operations are counted from the loops of `bellman`, one for each addition, multiplication, comparison, minimum or
 maximum, divisions and roundings as one too; a hyperbolic tangent as 20. A candidate that is looked at counts, and so
 does the one that is not admissible; all corners of a state whose cost is not one line over its controls do.
 """
@@ -19,7 +19,9 @@ from numba import njit
 
 import leanboom as lb
 from benchmarks.run import machine, title
-from leanboom import dp, grids, kernels, layout, passes, resources, stages
+from leanboom import resources
+from leanboom.dynamic_programming import bellman, grids, sweeps, value_function
+from leanboom.problem import layout, stages
 
 # Operations per state: parts that every cost has, per moving cylinder and in all.
 LIMITS, LIMITS_ALL, KEEP, FLOW, FLOW_ALL = 17, 8, 12, 6, 4
@@ -63,10 +65,10 @@ def rates() -> tuple[float, float]:
 def mixed_share(policy) -> float:
     """Share of states whose cost is not one line over their controls, of every 20th stage and 10th position."""
     t, (stages_, positions, velocities) = policy.tables, policy.values.shape
-    row = kernels.empty_row(velocities, t.cylinder.shape[0], velocities)
+    row = bellman.empty_row(velocities, t.cylinder.shape[0], velocities)
     shares = []
     for k in range(0, stages_ - 1, 20):
-        ahead = kernels.layer(policy.values[k + 1], t.stage, policy.setting, k + 1)
+        ahead = bellman.layer(policy.values[k + 1], t.stage, policy.setting, k + 1)
         w = t.stage[k, layout.W_LO] + t.stage[k, layout.DW] * np.arange(velocities)
         for p in range(0, positions, 10):
             c, node, outside = (
@@ -74,8 +76,8 @@ def mixed_share(policy) -> float:
                 t.coefficients[k, p],
                 t.outside[k, p],
             )
-            kernels.best_controls(node, outside, c, w, k, t.stage, t.cylinder, policy.setting, ahead, row)
-            shares.append(row.state[kernels.MIXED, :velocities].mean())
+            bellman.best_controls(node, outside, c, w, k, t.stage, t.cylinder, policy.setting, ahead, row)
+            shares.append(row.state[bellman.MIXED, :velocities].mean())
     return float(np.mean(shares))
 
 
@@ -106,7 +108,7 @@ def floor() -> None:
     with one_thread():
         for cost in ("cp", "ls"):
             grid = grids.full_grid(problem, 201, 101)
-            policy = dp.solve(problem, grid, cost)
+            policy = value_function.solve(problem, grid, cost)
             table, steep = policy.tables, policy.setting
             values, terminal = policy.values.copy(), policy.values[-1].astype(float)
             arrays = table.coefficients, table.outside, table.stage, table.cylinder, steep
@@ -114,7 +116,7 @@ def floor() -> None:
             # Side by side, the best of each: other work on the machine slows now the one, now the other.
             took, speed, bandwidth = np.inf, 0.0, 0.0
             for _ in range(10):
-                took = min(took, least(lambda a=arrays, v=values, e=terminal: passes.sweep(*a, e, v), 1) / states)
+                took = min(took, least(lambda a=arrays, v=values, e=terminal: sweeps.sweep(*a, e, v), 1) / states)
                 speed, bandwidth = np.maximum((speed, bandwidth), rates())
             count, nodes = operations(problem, policy)
             row = table.coefficients.shape[2] * layout.COEFFICIENTS * 8
@@ -152,9 +154,9 @@ def scaling() -> None:
     problem = stages.discretise(lb.load_task("forwarder-half-cycle"), 0.05)
     grid = grids.full_grid(problem, 201, 101)
     with one_thread():
-        alone = least(lambda: dp.solve(problem, grid, "ls"), 3)
+        alone = least(lambda: value_function.solve(problem, grid, "ls"), 3)
     most = resources.threads()
-    shared = least(lambda: dp.solve(problem, grid, "ls"), 3)
+    shared = least(lambda: value_function.solve(problem, grid, "ls"), 3)
     print(f"1 thread {alone:.3f} s; {most} threads {shared:.3f} s; {alone / shared:.2f} times as fast")
 
 
@@ -168,14 +170,14 @@ def growth() -> None:
     ):  # fmt: skip
         problem = stages.discretise(task, step)
         grid = grids.full_grid(problem, positions, velocities)
-        took = least(lambda p=problem, g=grid: dp.solve(p, g, "ls"), 2)
+        took = least(lambda p=problem, g=grid: value_function.solve(p, g, "ls"), 2)
         states = problem.stages * grid.positions * grid.velocities
         print(f"{problem.stages:>8}{grid.positions:>11}{grid.velocities:>12}{took:>9.3f}{1e9 * took / states:>12.1f}")
 
 
 def main() -> None:
     machine()
-    dp.prepare()
+    value_function.prepare()
     floor()
     scaling()
     growth()

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 import leanboom as lb
-from leanboom import runfolder
+from leanboom.report import run_folder
 
 GRID, STEP = (201, 101), 0.1  # a longer step than the default: quicker
 
@@ -29,7 +29,7 @@ def main():
     for line in plan.motion.log:
         print("   ", line)
 
-    out = runfolder.write(plan, folder / "run", GRID)
+    out = run_folder.write(plan, folder / "run", GRID)
     print("written:", ", ".join(sorted(path.name for path in out.iterdir())))
 
 

@@ -1,15 +1,15 @@
 """A machine changed in Python: does a smaller extension cylinder save energy?
 
 Section 6.2 of the 3-DOF paper asks this of its crane: 45 mm in place of 50 mm bore. Machines are frozen
-dataclasses in SI units, so `replace` makes another one; `leanboom.files.dump_machine` would write it to a file.
+dataclasses in SI units, so `replace` makes another one; `leanboom.io.loading.dump_machine` would write it to a file.
 """
 
 from dataclasses import replace
 from math import pi
 
 import leanboom as lb
-from leanboom.machine import Machine
-from leanboom.task import Lines
+from leanboom.model.machine import Machine
+from leanboom.model.task import Lines
 
 DIAGONAL = Lines(points=((1.4, 0.0, 0.5), (3.2, 0.0, 2.5)), durations=(10.0,))  # first edge of the large triangle
 GRID, STEP = (41, 31), 0.2

@@ -7,13 +7,14 @@ many starts at once, and for a look inside.
 import numpy as np
 
 import leanboom as lb
-from leanboom import dp, grids, layout, stages
+from leanboom.dynamic_programming import grids, value_function
+from leanboom.problem import layout, stages
 
 
 def main():
     task = lb.load_task("forwarder-vertical")
     problem = stages.discretise(task, 0.1)
-    policy = dp.solve(problem, grids.full_grid(problem, 121, 81), "ls")
+    policy = value_function.solve(problem, grids.full_grid(problem, 121, 81), "ls")
     print(policy)
 
     # Values at rest at stage 0, over the positions of that stage's grid: the predicted cost of every start.
@@ -25,9 +26,9 @@ def main():
 
     print(f"{'start [m]':>10} {'predicted [kJ]':>15} {'judged [kJ]':>12}  status")
     for i in np.linspace(0, positions.size - 1, 6).astype(int):
-        judged = lb.evaluate(task, dp.rollout(policy, float(positions[i])))
+        judged = lb.evaluate(task, value_function.rollout(policy, float(positions[i])))
         print(f"{positions[i]:10.4f} {values[i] / 1e3:15.2f} {judged.energy_ls / 1e3:12.2f}  {judged.status}")
-    print(f"least predicted: {dp.best_start(policy):.4f} m")
+    print(f"least predicted: {value_function.best_start(policy):.4f} m")
 
 
 if __name__ == "__main__":

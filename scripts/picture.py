@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 
 import leanboom as lb
-from leanboom.judge import Evaluation
+from leanboom.evaluation.evaluate import Evaluation
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402

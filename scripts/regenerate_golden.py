@@ -10,9 +10,11 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from leanboom import dp, grids, pseudo_inverse, stages, starts
-from leanboom.files import bundled_machines, load_task
-from leanboom.judge import Evaluation, evaluate
+from leanboom.dynamic_programming import grids, value_function
+from leanboom.evaluation.evaluate import Evaluation, evaluate
+from leanboom.io.loading import bundled_machines, load_task
+from leanboom.methods import pseudo_inverse
+from leanboom.problem import stages, starts
 
 FOLDER = Path(__file__).resolve().parents[1] / "tests" / "golden"
 TASKS = {"forwarder": "forwarder-half-cycle", "loader": "loader-triangle-small"}
@@ -39,8 +41,8 @@ def measure(machine: str) -> dict:
     assert start is not None
     found = {}
     for cost in ("ls", "cp"):
-        policy = dp.solve(problem, grids.full_grid(problem, *GRID), cost)
-        found[f"dp-{cost}"] = numbers(evaluate(task, dp.rollout(policy, start)))
+        policy = value_function.solve(problem, grids.full_grid(problem, *GRID), cost)
+        found[f"dp-{cost}"] = numbers(evaluate(task, value_function.rollout(policy, start)))
     found["sns-actuator"] = numbers(evaluate(task, pseudo_inverse.resolve(task, start)))
     return {
         "task": task.name,

@@ -10,9 +10,9 @@ import leanboom
 from leanboom.errors import InputError
 
 PACKAGE = Path(leanboom.__file__).parent
-FORWARDER = (PACKAGE / "machines/forwarder.yaml").read_text()
-HALF_CYCLE = (PACKAGE / "tasks/forwarder-half-cycle.yaml").read_text()
-TRIANGLE = (PACKAGE / "tasks/loader-triangle-large.yaml").read_text()
+FORWARDER = (PACKAGE / "data/machines/forwarder.yaml").read_text()
+HALF_CYCLE = (PACKAGE / "data/tasks/forwarder-half-cycle.yaml").read_text()
+TRIANGLE = (PACKAGE / "data/tasks/loader-triangle-large.yaml").read_text()
 
 
 def written(folder, text, name="bad.yaml"):

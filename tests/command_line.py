@@ -6,12 +6,12 @@ import re
 
 from typer.testing import CliRunner
 
-from leanboom import cli
+from leanboom.cli import app
 
 
 def leanboom(*arguments):
     """Run the command line as a shell would, on a wide terminal."""
-    return CliRunner().invoke(cli.app, arguments, env={"COLUMNS": "160", "TERM": "dumb", "NO_COLOR": "1"})
+    return CliRunner().invoke(app.app, arguments, env={"COLUMNS": "160", "TERM": "dumb", "NO_COLOR": "1"})
 
 
 def words(text):

@@ -10,9 +10,12 @@ import itertools
 
 import numpy as np
 
-from leanboom import cells, hydraulics, incumbent, motion, stage_arrays
-from leanboom import crane as cranes
-from leanboom.stages import Problem
+from leanboom.certificate import lower_bounds, upper_bound
+from leanboom.formulas import hydraulics
+from leanboom.model import crane as cranes
+from leanboom.model import motion
+from leanboom.problem import stage_arrays
+from leanboom.problem.stages import Problem
 
 
 def quiet(share: float) -> None:
@@ -65,7 +68,7 @@ def least_energy(problem: Problem, pump: str, start: float, count: int) -> tuple
     return best, chosen
 
 
-def least_in_cell(found: cells.Bounds, pump: str, k: int, p: int, r: int, count: int) -> float:
+def least_in_cell(found: lower_bounds.Bounds, pump: str, k: int, p: int, r: int, count: int) -> float:
     """Least of stage cost plus bound at the next state less rise of the cell's plane [J], over sampled motions.
 
     From states within the row's velocity bounds: the others can keep no limit further on.
@@ -94,7 +97,7 @@ def least_in_cell(found: cells.Bounds, pump: str, k: int, p: int, r: int, count:
     for x, y, here, rise in zip(
         next_c[inside], next_w[inside], cost[inside], (plane[1] * dx + plane[2] * dy)[inside], strict=True
     ):
-        least = min(least, here + cells.value_at(found, k + 1, x, y) - rise)
+        least = min(least, here + lower_bounds.value_at(found, k + 1, x, y) - rise)
     return least
 
 
@@ -104,7 +107,7 @@ def random_motion(problem: Problem, start: float, rng: np.random.Generator, trie
     for _ in range(tries):
         knots = rng.uniform(-limit, limit, 5) * rng.uniform(0.0, 1.0)
         w = np.interp(np.arange(problem.stages + 1), np.linspace(0, problem.stages, 7), [0.0, *knots, 0.0])
-        found = incumbent.measure(problem, motion.from_velocities(problem.step, start, w, "random", "ls"), "ls")
+        found = upper_bound.measure(problem, motion.from_velocities(problem.step, start, w, "random", "ls"), "ls")
         strict = np.all(found.motion.position <= problem.upper) and np.all(found.motion.position >= problem.lower)
         _, used = rates(
             problem, "ls", np.arange(problem.stages), found.motion.position[:-1], w[:-1], found.motion.acceleration

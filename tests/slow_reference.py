@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from leanboom import kernels, layout
+from leanboom.dynamic_programming import bellman
+from leanboom.problem import layout
 
 COSTS = ("ls", "cp", "actuator", "velocity", "extension", "recuperation")  # in the order of their codes
 BESIDE = 1e-7  # corners are tried this far on either side of a switch [m/s^2]
@@ -18,13 +19,13 @@ BESIDE = 1e-7  # corners are tried this far on either side of a switch [m/s^2]
 
 @dataclass(frozen=True)
 class Small:
-    """A problem as the kernels see it; arrays as in `passes.sweep`."""
+    """A problem as the kernels see it; arrays as in `sweeps.sweep`."""
 
-    coefficients: np.ndarray  # (stages + 1, positions, moving, kernels.COEFFICIENTS)
+    coefficients: np.ndarray  # (stages + 1, positions, moving, layout.COEFFICIENTS)
     outside: np.ndarray  # [m], (stages + 1, positions)
-    stage: np.ndarray  # (stages + 1, kernels.STAGE_COLUMNS)
-    cylinder: np.ndarray  # (moving, kernels.CYLINDER_COLUMNS)
-    setting: np.ndarray  # (kernels.SETTINGS,)
+    stage: np.ndarray  # (stages + 1, layout.STAGE_COLUMNS)
+    cylinder: np.ndarray  # (moving, layout.CYLINDER_COLUMNS)
+    setting: np.ndarray  # (layout.SETTINGS,)
     terminal: np.ndarray  # (positions, velocities)
     cost: str = field(default="")
 
@@ -116,7 +117,7 @@ def admissible(small: Small, k: int, row: np.ndarray, w: float, velocities: int)
     for i, data in enumerate(small.cylinder):
         cost += s[layout.SLOPE_V] * max(0.0, abs(float(v[i, 0])) - data[layout.V_MAX])
         gain, rest, limit = row[i, layout.B3], float(a[i, 0]), data[layout.A_MAX]
-        if abs(gain) <= kernels.MIN_GAIN:
+        if abs(gain) <= bellman.MIN_GAIN:
             cost += s[layout.SLOPE_A] * max(0.0, abs(rest) - limit)
             continue
         ends = sorted([(-limit - rest) / gain, (limit - rest) / gain])

@@ -9,8 +9,8 @@ import pytest
 
 from bundled_texts import FORWARDER, HALF_CYCLE, TRIANGLE, edited, problems, written
 from leanboom.errors import InputError
-from leanboom.files import bundled_tasks, load_machine, load_task
-from leanboom.source import MAX_BYTES
+from leanboom.io.loading import bundled_tasks, load_machine, load_task
+from leanboom.io.yaml_source import MAX_BYTES
 
 TOP_KEYS = (
     "name, description, geometry, joints, cylinders, bodies, payload, valve, pump, driven_velocity, dynamics, "

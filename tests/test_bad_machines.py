@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bundled_texts import FORWARDER, edited, problems, written
-from leanboom.files import dump_machine, load_machine
+from leanboom.io.loading import dump_machine, load_machine
 
 CYLINDER_KEYS = (
     "bore, rod, plunger, racks, piston_area, rod_side_area, stroke, linkage, connection, friction, velocity_limit, "

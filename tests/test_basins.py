@@ -8,9 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from leanboom import basins, dp, grids, layout, stages, starts
-from leanboom.files import load_task
-from leanboom.task import Lines, Task
+from leanboom.dynamic_programming import grids, local_minima, value_function
+from leanboom.io.loading import load_task
+from leanboom.model.task import Lines, Task
+from leanboom.problem import layout, stages, starts
 
 STEP = 0.1  # [s]
 MIDDLE = replace(load_task("forwarder-vertical"), start="middle")
@@ -25,9 +26,9 @@ def turned_round(task: Task) -> Task:
 
 
 @cache
-def swept(cost: str, start: float | None) -> basins.Through:
+def swept(cost: str, start: float | None) -> local_minima.Through:
     problem = stages.discretise(MIDDLE, STEP)
-    return basins.through(dp.solve(problem, grids.full_grid(problem, 61, 41), cost), start)
+    return local_minima.through(value_function.solve(problem, grids.full_grid(problem, 61, 41), cost), start)
 
 
 def middle() -> float:
@@ -45,7 +46,7 @@ def test_tables_backward_in_time_are_those_of_the_path_driven_backward():
     for task in (MIDDLE, turned_round(MIDDLE)):
         problem = stages.discretise(task, STEP)
         tables.append(grids.tables(problem, grids.full_grid(problem, 9, 5), "ls"))
-    ours, other = basins.backward_in_time(tables[0]), tables[1]
+    ours, other = local_minima.backward_in_time(tables[0]), tables[1]
     size = np.abs(other.coefficients).max(axis=(0, 1, 2))
     np.testing.assert_allclose(
         ours.coefficients[..., MOTIONS], other.coefficients[..., MOTIONS], atol=1e-7 * size[MOTIONS].max()
@@ -65,7 +66,7 @@ def test_tables_backward_in_time_are_those_of_the_path_driven_backward():
 def test_turning_time_round_twice_changes_nothing():
     problem = stages.discretise(MIDDLE, STEP)
     table = grids.tables(problem, grids.full_grid(problem, 9, 5), "ls")
-    again = basins.backward_in_time(basins.backward_in_time(table))
+    again = local_minima.backward_in_time(local_minima.backward_in_time(table))
     for name in ("coefficients", "outside", "stage", "cylinder"):
         np.testing.assert_allclose(getattr(again, name), getattr(table, name), atol=1e-12)
 
@@ -78,14 +79,14 @@ def test_the_least_cost_through_any_stage_is_that_of_the_task_but_for_the_grid()
     spreads = []
     for size in ((31, 21), (61, 41)):
         problem = stages.discretise(MIDDLE, STEP)
-        found = basins.through(dp.solve(problem, grids.full_grid(problem, *size), "cp"), middle())
+        found = local_minima.through(value_function.solve(problem, grids.full_grid(problem, *size), "cp"), middle())
         least = found.cost.min(axis=(1, 2))
         spreads.append(float(np.ptp(least) / np.median(least)))
     assert spreads[1] < 0.75 * spreads[0]
     assert spreads[1] < 0.15
 
 
-def ends(found: basins.Through, stage: int) -> tuple[float, float]:
+def ends(found: local_minima.Through, stage: int) -> tuple[float, float]:
     grid = found.policy.grid
     return float(grid.c_lo[stage]), float(grid.c_hi[stage])
 
@@ -104,19 +105,19 @@ def test_a_motion_through_a_state_passes_it(stage):
 @pytest.mark.parametrize(("start", "least"), [(None, 2), ("middle", 1)])
 def test_local_minima_are_apart_and_the_best_comes_first(start, least):
     found = swept("ls", None if start is None else middle())
-    motions = basins.local_minima(found, 0.3, 5)
+    motions = local_minima.local_minima(found, 0.3, 5)
     assert least <= len(motions) <= 5
     width = max(high - low for low, high in (ends(found, k) for k in range(61)))
     for i, one in enumerate(motions):
         for other in motions[:i]:
-            assert np.abs(one.position - other.position).max() > basins.APART * width
+            assert np.abs(one.position - other.position).max() > local_minima.APART * width
     best = found.motion(*least_node(found))
-    assert np.abs(motions[0].position - best.position).max() < basins.APART * width
-    assert len(basins.local_minima(found, 0.3, 1)) == 1
-    assert len(basins.local_minima(found, 0.0, 5)) <= len(motions)
+    assert np.abs(motions[0].position - best.position).max() < local_minima.APART * width
+    assert len(local_minima.local_minima(found, 0.3, 1)) == 1
+    assert len(local_minima.local_minima(found, 0.0, 5)) <= len(motions)
 
 
-def least_node(found: basins.Through) -> tuple[int, float, float]:
+def least_node(found: local_minima.Through) -> tuple[int, float, float]:
     """The node of least cost at the first stage."""
     stage, cost = found.policy.tables.stage[0], found.cost[0]
     i, j = np.unravel_index(int(cost.argmin()), cost.shape)

@@ -8,12 +8,13 @@ from math import sin
 import numpy as np
 import pytest
 
-from leanboom import kinematics, motion
-from leanboom.breakdown import Breakdown, breakdown
-from leanboom.files import load_machine, load_task
-from leanboom.judge import SAMPLE, evaluate
-from leanboom.pump_types import EfficiencyMap
-from leanboom.task import Lines, Task
+from leanboom.components.pumps import EfficiencyMap
+from leanboom.evaluation.energy_breakdown import Breakdown, breakdown
+from leanboom.evaluation.evaluate import SAMPLE, evaluate
+from leanboom.formulas import kinematics
+from leanboom.io.loading import load_machine, load_task
+from leanboom.model import motion
+from leanboom.model.task import Lines, Task
 
 LOADER = load_machine("loader")
 NEAR, FAR, LASTS, PAYLOAD = 0.1, 0.9, 10.0, 475.0

@@ -10,22 +10,13 @@ import pytest
 from typer.testing import CliRunner
 
 import slow_bounds
-from leanboom import (
-    InfeasibleError,
-    InputError,
-    LeanboomError,
-    budget,
-    cells,
-    certificate,
-    certify,
-    incumbent,
-    load_task,
-    motion,
-    stages,
-)
-from leanboom.cli import app
-from leanboom.pump_types import EfficiencyMap, Pump
-from leanboom.task import Lines, Task
+from leanboom import InfeasibleError, InputError, LeanboomError, budget, certify, load_task
+from leanboom.certificate import certificate, lower_bounds, partition, upper_bound
+from leanboom.cli.app import app
+from leanboom.components.pumps import EfficiencyMap, Pump
+from leanboom.model import motion
+from leanboom.model.task import Lines, Task
+from leanboom.problem import stages
 from slow_bounds import quiet
 
 
@@ -44,12 +35,12 @@ def solved():
     """The bounds of a coarse vertical path, LS, and a motion to hold against them."""
     task = replace(load_task("forwarder-vertical"), start="middle")
     problem = stages.discretise(task, 0.25)
-    found = cells.bound(cells.whole(problem, "ls"), None, quiet)
+    found = lower_bounds.bound(partition.whole(problem, "ls"), None, quiet)
     return problem, found
 
 
 @pytest.mark.parametrize("pump", ["cp", "ls"])
-@pytest.mark.parametrize("times", cells.COARSE)
+@pytest.mark.parametrize("times", partition.COARSE)
 @pytest.mark.parametrize("seed", range(3))
 def test_bounds_over_coarse_cells_never_exceed_the_brute_force_optimum(seed, times, pump):
     task = small_task(seed)
@@ -57,18 +48,18 @@ def test_bounds_over_coarse_cells_never_exceed_the_brute_force_optimum(seed, tim
     start = 0.5 * (problem.lower[0] + problem.upper[0])
     least, best = slow_bounds.least_energy(problem, pump, start, 15)
     assert best is not None
-    kept = cells.whole(problem, pump, best, times)
-    assert kept.count == cells.size(problem, pump, best, times).count
+    kept = partition.whole(problem, pump, best, times)
+    assert kept.count == partition.size(problem, pump, best, times).count
     for low, high, rows in zip(problem.lower, problem.upper, kept.rows, strict=True):
         assert (rows[0], rows[-1]) == pytest.approx((low, high))
         assert np.all(np.diff(rows) > 0.0)
-    found = cells.bound(kept, start, quiet, coarse=True)
+    found = lower_bounds.bound(kept, start, quiet, coarse=True)
     assert 0.0 <= found.lower <= least * (1.0 + 1e-9)
-    costs = incumbent.measure(problem, best, pump).costs
-    assert cells.residuals(found, best, costs).min() >= -1e-9 * least
-    refined = cells.refine(found, cells.reach(found, least * (1.0 + 1e-9), quiet))
+    costs = upper_bound.measure(problem, best, pump).costs
+    assert lower_bounds.residuals(found, best, costs).min() >= -1e-9 * least
+    refined = lower_bounds.refine(found, lower_bounds.reach(found, least * (1.0 + 1e-9), quiet))
     assert refined is not None
-    assert cells.bound(refined, start, quiet).lower <= least * (1.0 + 1e-9)
+    assert lower_bounds.bound(refined, start, quiet).lower <= least * (1.0 + 1e-9)
 
 
 @pytest.mark.parametrize("pump", ["cp", "ls"])
@@ -79,14 +70,16 @@ def test_bound_never_exceeds_the_brute_force_optimum(seed, pump):
     start = 0.5 * (problem.lower[0] + problem.upper[0])
     least, best = slow_bounds.least_energy(problem, pump, start, 25)
     assert best is not None
-    kept, bound, told = cells.whole(problem, pump, best if seed % 3 else None), 0.0, 0
+    kept, bound, told = partition.whole(problem, pump, best if seed % 3 else None), 0.0, 0
     for level in range(4):
-        found = cells.bound(kept, start, quiet, limit=least * (1.0 + 1e-9))
+        found = lower_bounds.bound(kept, start, quiet, limit=least * (1.0 + 1e-9))
         assert found.lower <= least * (1.0 + 1e-9)
-        costs = incumbent.measure(problem, best, pump).costs
-        assert cells.residuals(found, best, costs).min() >= -1e-9 * least
+        costs = upper_bound.measure(problem, best, pump).costs
+        assert lower_bounds.residuals(found, best, costs).min() >= -1e-9 * least
         bound = max(bound, found.lower)
-        refined = cells.refine(found, cells.reach(found, least * (1.0 + 1e-9), quiet), rows_too=level != seed % 3)
+        refined = lower_bounds.refine(
+            found, lower_bounds.reach(found, least * (1.0 + 1e-9), quiet), rows_too=level != seed % 3
+        )
         if refined is None:
             break
         for k, taken in enumerate(np.cumsum(costs) - costs):
@@ -98,7 +91,7 @@ def test_bound_never_exceeds_the_brute_force_optimum(seed, pump):
     assert told
 
 
-def energy_behind(kept: cells.Cells, k: int, position: float, velocity: float) -> float:
+def energy_behind(kept: partition.Cells, k: int, position: float, velocity: float) -> float:
     """Least energy that a motion through a state has taken so far, as its cell says [J]; inf where it is dropped."""
     row = min(max(int(np.searchsorted(kept.rows[k], position)) - 1, 0), kept.active[k].shape[0] - 1)
     column = int(np.searchsorted(kept.edges[k][row], velocity)) - 1
@@ -110,7 +103,7 @@ def test_planes_stay_below_all_sampled_motions_of_their_cell(pump, rng):
     task = small_task(1)
     problem = stages.discretise(task, task.duration / 4.0)
     still = motion.from_velocities(problem.step, problem.lower[0] + 0.1, np.zeros(problem.stages + 1), "still", pump)
-    found = cells.bound(cells.whole(problem, pump, still), None, quiet)
+    found = lower_bounds.bound(partition.whole(problem, pump, still), None, quiet)
     compared = 0
     for k in (2, 1, 0):
         planes = found.planes[k]
@@ -131,9 +124,9 @@ def test_every_random_motion_costs_more_than_the_bound_step_by_step(solved, rng)
         if moving is None:
             continue
         seen += 1
-        measured = incumbent.measure(problem, moving, "ls")
+        measured = upper_bound.measure(problem, moving, "ls")
         assert measured.energy >= found.lower
-        assert cells.residuals(found, moving, measured.costs).min() >= -1e-9 * measured.energy
+        assert lower_bounds.residuals(found, moving, measured.costs).min() >= -1e-9 * measured.energy
     assert seen >= 5
 
 
@@ -144,9 +137,9 @@ def test_a_motion_that_breaks_limits_at_stages_is_led_to_one_that_keeps_them():
     velocity = 0.02 * np.sin(np.pi * np.arange(problem.stages + 1) / problem.stages)
     velocity[-1] = 0.0
     moving = motion.from_velocities(problem.step, start, -velocity, "outside", "ls")
-    seed = incumbent.measure(problem, moving, "ls")
+    seed = upper_bound.measure(problem, moving, "ls")
     assert not seed.keeps_limits
-    best = incumbent.improve(problem, seed, "ls", False)
+    best = upper_bound.improve(problem, seed, "ls", False)
     assert best.keeps_limits
     assert best.motion.position[0] == pytest.approx(start)
 
@@ -155,16 +148,16 @@ def test_a_broken_cell_bound_is_caught(solved, rng):
     problem, found = solved
     start = 0.5 * (problem.lower[0] + problem.upper[0])
     moving = next(m for m in (slow_bounds.random_motion(problem, start, rng) for _ in range(20)) if m is not None)
-    costs = incumbent.measure(problem, moving, "ls").costs
+    costs = upper_bound.measure(problem, moving, "ls").costs
     k = problem.stages // 2
     broken = [planes.copy() for planes in found.planes]
     broken[k][..., 0] += 2.0 * costs.sum()
-    flagged = cells.residuals(replace(found, planes=tuple(broken)), moving, costs)
+    flagged = lower_bounds.residuals(replace(found, planes=tuple(broken)), moving, costs)
     assert flagged[k] < 0.0
 
 
 def test_a_bound_that_contradicts_the_motion_is_not_certified(monkeypatch):
-    honest = cells.bound
+    honest = lower_bounds.bound
 
     def broken(*arguments, **named):
         found = honest(*arguments, **named)
@@ -172,16 +165,16 @@ def test_a_bound_that_contradicts_the_motion_is_not_certified(monkeypatch):
         planes[2][..., 0] += 1e5
         return replace(found, planes=tuple(planes))
 
-    monkeypatch.setattr(cells, "bound", broken)
+    monkeypatch.setattr(lower_bounds, "bound", broken)
     task = replace(load_task("forwarder-vertical"), start="middle")
     with pytest.raises(LeanboomError, match="contradicts the motion"):
         certify(task, "cp", step=0.5, gap=1.0)
 
 
 def test_a_bound_above_the_motion_is_not_certified(monkeypatch):
-    honest = cells.bound
+    honest = lower_bounds.bound
     monkeypatch.setattr(
-        cells, "bound", lambda *given, **named: replace(honest(*given, **named), start=np.full((1, 1), 1e9))
+        lower_bounds, "bound", lambda *given, **named: replace(honest(*given, **named), start=np.full((1, 1), 1e9))
     )
     with pytest.raises(LeanboomError, match="above the energy of the motion"):
         certify(replace(load_task("forwarder-vertical"), start="middle"), "cp", step=0.5)
@@ -195,7 +188,7 @@ def test_the_way_that_promises_most_comes_first_and_others_while_they_promise_mo
         tried.append(slopes)
         return SimpleNamespace(lower=100.0 - next(gaps[slopes]))
 
-    monkeypatch.setattr(cells, "bound", bound)
+    monkeypatch.setattr(lower_bounds, "bound", bound)
     ways = [certificate._Way(lambda: "own"), certificate._Way(lambda: "guided")]  # noqa: SLF001
     levels = [certificate._tightest(None, 0.0, 100.0, 0.5, ways, quiet, np.inf).lower for _ in range(3)]  # noqa: SLF001
     # Own left 10 % and promises 5 %, then 2.5 %: it is asked again when guided slopes leave 3 %.
@@ -205,7 +198,7 @@ def test_the_way_that_promises_most_comes_first_and_others_while_they_promise_mo
 
 def test_other_slopes_wait_while_cells_are_far_too_large(monkeypatch):
     gaps = {"own": iter([30.0, 12.0]), "guided": iter([8.0])}
-    monkeypatch.setattr(cells, "bound", lambda *given: SimpleNamespace(lower=100.0 - next(gaps[given[3]])))
+    monkeypatch.setattr(lower_bounds, "bound", lambda *given: SimpleNamespace(lower=100.0 - next(gaps[given[3]])))
     ways = [certificate._Way(lambda: "own"), certificate._Way(lambda: "guided")]  # noqa: SLF001
     assert certificate._tightest(None, 0.0, 100.0, 0.5, ways, quiet, np.inf).lower == 70.0  # noqa: SLF001
     assert [way.promise for way in ways] == [15.0, 15.0]
@@ -216,10 +209,10 @@ def test_other_slopes_wait_while_cells_are_far_too_large(monkeypatch):
 def test_a_bound_found_in_time_counts_although_a_second_way_is_not(monkeypatch):
     def bound(kept, start, clock, slopes, limit, coarse):
         if slopes == "guided":
-            raise cells.OutOfTime
+            raise lower_bounds.OutOfTime
         return SimpleNamespace(lower=90.0)
 
-    monkeypatch.setattr(cells, "bound", bound)
+    monkeypatch.setattr(lower_bounds, "bound", bound)
     ways = [certificate._Way(lambda: "own"), certificate._Way(lambda: "guided")]  # noqa: SLF001
     assert certificate._tightest(None, 0.0, 100.0, 0.5, ways, quiet, np.inf).lower == 90.0  # noqa: SLF001
 
@@ -253,13 +246,13 @@ def test_a_bound_is_proven_however_short_the_time(pump, seconds, start):
 
 
 def test_coarse_cells_are_checked_against_the_motion_too(monkeypatch):
-    honest = cells.bound
+    honest = lower_bounds.bound
 
     def broken(*arguments, **named):
         found = honest(*arguments, **named)
         return replace(found, planes=(*found.planes[:2], found.planes[2] + 1e5, *found.planes[3:]))
 
-    monkeypatch.setattr(cells, "bound", broken)
+    monkeypatch.setattr(lower_bounds, "bound", broken)
     with pytest.raises(LeanboomError, match="contradicts the motion"):
         certify(replace(load_task("forwarder-vertical"), start="middle"), "cp", step=0.5, seconds=1e-6)
 
@@ -321,8 +314,8 @@ def test_cells_are_as_small_as_time_and_memory_allow(monkeypatch, seconds, memor
     def size(problem, cost, beside, tried):
         return SimpleNamespace(count=64000 // (tried[0] * tried[1]))
 
-    monkeypatch.setattr(cells, "size", size)
-    monkeypatch.setattr(cells, "memory_of", lambda problem, cut: 1.0 * cut.count)
+    monkeypatch.setattr(lower_bounds, "size", size)
+    monkeypatch.setattr(lower_bounds, "memory_of", lambda problem, cut: 1.0 * cut.count)
     monkeypatch.setattr(certificate, "_memory", lambda: memory)
     monkeypatch.setattr(budget.time, "perf_counter", lambda: 1.0)
     monkeypatch.setattr(budget.time, "process_time", lambda: 1.0)
@@ -413,8 +406,8 @@ def test_plan_certifies_when_asked():
 def test_slopes_are_exact_for_a_plane_and_level_at_an_extreme():
     i, j = np.meshgrid(np.arange(6.0), np.array([0.0, 0.4, 2.0, 2.5, 4.0]), indexing="ij")
     values = 3.0 * i - 2.0 * j
-    assert np.allclose(cells.slopes(values, 0, i), 3.0)
-    assert np.allclose(cells.slopes(values, 1, j), -2.0)
+    assert np.allclose(lower_bounds.slopes(values, 0, i), 3.0)
+    assert np.allclose(lower_bounds.slopes(values, 1, j), -2.0)
     values[2, 3] = np.inf
-    assert np.allclose(cells.slopes(values, 1, j)[2, :3], -2.0)
-    assert cells.slopes(np.abs(np.arange(5.0) - 2.0)[None, :], 1, np.arange(5.0)[None, :])[0, 2] == 0.0
+    assert np.allclose(lower_bounds.slopes(values, 1, j)[2, :3], -2.0)
+    assert lower_bounds.slopes(np.abs(np.arange(5.0) - 2.0)[None, :], 1, np.arange(5.0)[None, :])[0, 2] == 0.0

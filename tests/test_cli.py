@@ -14,7 +14,11 @@ import pytest
 from typer.testing import CliRunner
 
 from command_line import leanboom, words
-from leanboom import cli, files, inspection, objective, planner, terminal
+from leanboom.cli import app, terminal
+from leanboom.components import costs
+from leanboom.io import loading
+from leanboom.planning import planner
+from leanboom.report import facts
 
 
 def test_help_names_every_command_method_and_cost():
@@ -29,7 +33,7 @@ def test_help_names_every_command_method_and_cost():
         if part
     }
     assert {"dp", *listed["methods"]} == set(planner.METHODS)
-    assert set(listed["costs"]) == set(objective.COSTS)
+    assert set(listed["costs"]) == set(costs.COSTS)
 
 
 def test_version():
@@ -43,9 +47,9 @@ def test_the_module_runs_as_the_command_does():
     assert answer.stdout == leanboom("--version").stdout
 
 
-@pytest.mark.parametrize("command", ["", *(command.callback.__name__ for command in cli.app.registered_commands)])
+@pytest.mark.parametrize("command", ["", *(command.callback.__name__ for command in app.app.registered_commands)])
 def test_help_fits_80_columns_and_names_arguments_plainly(command):
-    result = CliRunner().invoke(cli.app, [*command.split(), "--help"], env={"COLUMNS": "80", "TERM": "dumb"})
+    result = CliRunner().invoke(app.app, [*command.split(), "--help"], env={"COLUMNS": "80", "TERM": "dumb"})
     assert result.exit_code == 0
     assert max(map(len, result.stdout.splitlines())) <= 80
     usage = next(line for line in result.stdout.splitlines() if "Usage:" in line)
@@ -57,7 +61,7 @@ def test_help_fits_80_columns_and_names_arguments_plainly(command):
     ("line", "names"),
     [
         ("leanboom plan forwarder-v", ["forwarder-vertical"]),
-        ("leanboom check loader", [name for name in ("loader", *files.bundled_tasks()) if name.startswith("loader")]),
+        ("leanboom check loader", [name for name in ("loader", *loading.bundled_tasks()) if name.startswith("loader")]),
         ("leanboom machines ", ["forwarder", "loader"]),
         ("leanboom plan --pu", ["--pump"]),
         ("leanboom cert", ["certify"]),
@@ -66,7 +70,7 @@ def test_help_fits_80_columns_and_names_arguments_plainly(command):
 def test_the_shell_completes_commands_options_and_bundled_names(line, names):
     words = line.split(" ")
     answer = CliRunner().invoke(
-        cli.app,
+        app.app,
         prog_name="leanboom",
         env={"_LEANBOOM_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)},
     )
@@ -80,14 +84,14 @@ def test_completion_for_a_home_that_cannot_be_written_is_refused(monkeypatch, tm
     monkeypatch.setattr(sys, "argv", ["leanboom", "--install-completion", "bash"])
     monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")
     with pytest.raises(SystemExit) as end:
-        cli.main()
+        app.main()
     assert end.value.code == 2
     assert "cannot be written" in capsys.readouterr().err
 
 
 def test_help_starts_without_heavy_imports():
     program = (
-        "import sys; from leanboom import cli; sys.argv = ['leanboom', 'plan', '--help']\n"
+        "import sys; from leanboom.cli import app as cli; sys.argv = ['leanboom', 'plan', '--help']\n"
         "try: cli.main()\n"
         "except SystemExit as end: assert end.code == 0\n"
         "print(sorted({'numba', 'plotly', 'numpy', 'scipy', 'casadi', 'pint'} & set(sys.modules)))"
@@ -113,7 +117,7 @@ def test_check_counts_where_values_come_from():
 
 def test_check_reads_tasks_and_files(tmp_path):
     file = tmp_path / "mine.yaml"
-    file.write_text(files.dump_task(files.load_task("loader-triangle-small"), "loader"), encoding="utf-8")
+    file.write_text(loading.dump_task(loading.load_task("loader-triangle-small"), "loader"), encoding="utf-8")
     result = leanboom("check", str(file), "forwarder-vertical")
     assert result.exit_code == 0
     assert "task loader-triangle-small is right" in result.stdout
@@ -123,7 +127,7 @@ def test_check_reads_tasks_and_files(tmp_path):
 def test_check_tells_of_a_slow_path_how_fast_it_is(tmp_path):
     """A tool that moves at less than 5 mm/s read "at most 0.00 m/s"."""
     file = tmp_path / "slow.yaml"
-    text = files.dump_task(files.load_task("forwarder-vertical"), "forwarder")
+    text = loading.dump_task(loading.load_task("forwarder-vertical"), "forwarder")
     assert "durations: [6 s]" in text
     file.write_text(text.replace("[6 s]", "[3600 s]"), encoding="utf-8")
     assert re.search(r"in 3600 s, at most 0\.00[0-9]*[1-9] m/s", leanboom("check", str(file)).stdout)
@@ -131,7 +135,7 @@ def test_check_tells_of_a_slow_path_how_fast_it_is(tmp_path):
 
 def test_check_reports_every_problem_of_every_file(tmp_path):
     machine, task = tmp_path / "machine.yaml", tmp_path / "task.yaml"
-    text = files.dump_machine(files.load_machine("loader")).replace("bore: 80 mm", "bore: -80 mm")
+    text = loading.dump_machine(loading.load_machine("loader")).replace("bore: 80 mm", "bore: -80 mm")
     machine.write_text(text, encoding="utf-8")
     task.write_text("machine: nope\npath: {}\n", encoding="utf-8")
     result = leanboom("check", str(machine), "loader", str(task), "missing")
@@ -146,7 +150,7 @@ def test_check_reports_every_problem_of_every_file(tmp_path):
 
 def test_check_says_when_a_path_cannot_be_reached(tmp_path):
     file = tmp_path / "far.yaml"
-    text = files.dump_task(files.load_task("forwarder-horizontal"), "forwarder")
+    text = loading.dump_task(loading.load_task("forwarder-horizontal"), "forwarder")
     file.write_text(text.replace("[7.2, 0, 2]", "[12, 0, 2]"), encoding="utf-8")
     result = leanboom("check", str(file))
     assert result.exit_code == 1
@@ -163,9 +167,9 @@ def test_check_tells_of_a_machine_once_however_many_tasks_it_has():
 
 def test_check_prints_json_and_nothing_else(tmp_path):
     machine, task, far = tmp_path / "machine.yaml", tmp_path / "task.yaml", tmp_path / "far.yaml"
-    text = files.dump_machine(files.load_machine("loader")).replace("bore: 80 mm", "bore: 10 in", 1)
+    text = loading.dump_machine(loading.load_machine("loader")).replace("bore: 80 mm", "bore: 10 in", 1)
     machine.write_text(text, encoding="utf-8")
-    path = files.dump_task(files.load_task("forwarder-horizontal"), "forwarder")
+    path = loading.dump_task(loading.load_task("forwarder-horizontal"), "forwarder")
     far.write_text(path.replace("[7.2, 0, 2]", "[12, 0, 2]"), encoding="utf-8")
     task.write_text(path.replace("machine: forwarder", "machine: machine.yaml").replace("start: ", "star: "))
     result = leanboom("check", "loader-triangle-small", str(task), str(far), "missing", "--json")
@@ -176,7 +180,7 @@ def test_check_prints_json_and_nothing_else(tmp_path):
         "kind": "task",
         "name": "loader-triangle-small",
         "machine": "loader",
-        "values": inspection.count(files.load_machine("loader")),
+        "values": facts.count(loading.load_machine("loader")),
         "problems": [],
         "notes": [],
     }
@@ -205,26 +209,28 @@ def test_check_prints_json_and_nothing_else(tmp_path):
 def test_what_check_doubts_are_the_notes_of_its_json(tmp_path, machine):
     file = tmp_path / "weak.yaml"
     text = re.sub(
-        "(max_pressure|constant_pressure): [0-9.]+ MPa", r"\1: 6 MPa", files.dump_machine(files.load_machine(machine))
+        "(max_pressure|constant_pressure): [0-9.]+ MPa",
+        r"\1: 6 MPa",
+        loading.dump_machine(loading.load_machine(machine)),
     )
     file.write_text(text, encoding="utf-8")
     (found,) = json.loads(leanboom("check", str(file), "--json").stdout)
     assert found["problems"] == []
-    assert found["notes"] == list(inspection.doubts(files.load_machine(file)))
+    assert found["notes"] == list(facts.doubts(loading.load_machine(file)))
     assert ("holding the empty crane" in " ".join(found["notes"])) == (machine == "forwarder")
 
 
 def test_reach_and_static_pressures_are_plausible():
-    reach = inspection.reach(files.load_machine("forwarder"))
+    reach = facts.reach(loading.load_machine("forwarder"))
     assert reach.radius == pytest.approx(9.1, abs=0.01)  # printed: "reach 9.1 m"
     assert reach.pressure[0] == 0.0
     assert all(1e6 < pressure < 21.5e6 for pressure in reach.pressure[1:])
-    assert inspection.doubts(files.load_machine("forwarder")) == ()
+    assert facts.doubts(loading.load_machine("forwarder")) == ()
 
 
 @pytest.mark.parametrize("kind", ["machines", "tasks"])
 def test_lists_name_every_bundled_one(kind):
-    names = list(files.bundled_machines() if kind == "machines" else files.bundled_tasks())
+    names = list(loading.bundled_machines() if kind == "machines" else loading.bundled_tasks())
     text = leanboom(kind).stdout
     assert all(name in text for name in names)
     assert [entry["name"] for entry in json.loads(leanboom(kind, "--json").stdout)] == names

@@ -10,14 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import leanboom as lb
-from leanboom import collocation, direct, stages, starts
-from leanboom import crane as cranes
-from leanboom.collocation import barycentric, double_integrator, interpolate, mesh, radau
 from leanboom.errors import InfeasibleError, InputError
-from leanboom.judge import evaluate
-from leanboom.motion import from_velocities
-from leanboom.planner import run
-from leanboom.task import Lines, Task, sample
+from leanboom.evaluation.evaluate import evaluate
+from leanboom.methods import pseudospectral, smoothed_nlp
+from leanboom.methods.pseudospectral import barycentric, double_integrator, interpolate, mesh, radau
+from leanboom.model import crane as cranes
+from leanboom.model.motion import from_velocities
+from leanboom.model.task import Lines, Task, sample
+from leanboom.planning.planner import run
+from leanboom.problem import stages, starts
 
 LEVEL = 0.3  # [m/s], cruising limit of the limited double integrator
 
@@ -79,14 +80,14 @@ def test_neighbouring_polynomials_share_the_point_at_their_edge():
 
 def least_effort(points, limit: float):
     """Rest to rest over 1 m in 4 s with least integral of u^2 and |w| <= limit, transcribed on a mesh."""
-    functions = direct.node_functions(3, 1, lambda x, p: (p[0] * x[2] * x[2], x[1] * x[1]))
+    functions = smoothed_nlp.node_functions(3, 1, lambda x, p: (p[0] * x[2] * x[2], x[1] * x[1]))
     count = points.time.size
-    solver = direct.assemble(functions, count, double_integrator(points, 3))
+    solver = smoothed_nlp.assemble(functions, count, double_integrator(points, 3))
     low, high = np.full((count, 3), -np.inf), np.full((count, 3), np.inf)
     low[0, :2] = high[0, :2] = 0.0
     low[-1] = high[-1] = [1.0, 0.0, 0.0]
     rows = np.zeros((count, 1)), np.full((count, 1), limit**2)  # the limit as a row, to have its derivatives used
-    return direct.optimise(solver, np.zeros((count, 3)), points.weight[:, None], (low, high), rows)
+    return smoothed_nlp.optimise(solver, np.zeros((count, 3)), points.weight[:, None], (low, high), rows)
 
 
 def effort(points, answer) -> float:
@@ -139,7 +140,7 @@ def test_maptor_finds_the_same_least_effort():
 def test_derivatives_of_the_crane_equal_differences(task):
     """Gradient, Jacobian and Hessian of a node of the LS problem against central differences."""
     problem = stages.discretise(task, 0.05)
-    functions = direct.node_functions(3, 13, collocation._node(problem.crane, problem.moving, "ls"))
+    functions = smoothed_nlp.node_functions(3, 13, pseudospectral._node(problem.crane, problem.moving, "ls"))
     plane = cranes.plane(task.machine, sample(task, np.array([1.7])))
     p = [float(np.ravel(getattr(plane, name))[0]) for name in ("r", "z", "vr", "vz", "ar", "az", "q1", "v1", "a1")]
     p += [0.7, 50.0, 0.1, 0.01]
@@ -171,12 +172,14 @@ def test_derivatives_of_the_crane_equal_differences(task):
 
 
 def test_smoothed_steps_and_maxima():
-    assert direct.smooth_heaviside(0.0, 20000.0) == 0.5
-    assert direct.smooth_heaviside(np.array([-9.0, 9.0]), 20000.0).tolist() == [0.0, 1.0]  # no overflow
+    assert smoothed_nlp.smooth_heaviside(0.0, 20000.0) == 0.5
+    assert smoothed_nlp.smooth_heaviside(np.array([-9.0, 9.0]), 20000.0).tolist() == [0.0, 1.0]  # no overflow
     x = np.linspace(-1e-3, 1e-3, 11)
-    assert direct.smooth_heaviside(x, 500.0) == pytest.approx(1.0 / (1.0 + np.exp(-2.0 * 500.0 * x)))  # as printed
+    assert smoothed_nlp.smooth_heaviside(x, 500.0) == pytest.approx(
+        1.0 / (1.0 + np.exp(-2.0 * 500.0 * x))
+    )  # as printed
     a, b = np.array([3.0, 3.0, -2.0]), np.array([1.0, 3.0, 5.0])
-    excess = direct.smooth_maximum(a, b, 1e-6) - np.maximum(a, b)
+    excess = smoothed_nlp.smooth_maximum(a, b, 1e-6) - np.maximum(a, b)
     assert np.all(excess >= 0.0) and excess.max() == pytest.approx(0.5e-3)
 
 
@@ -189,7 +192,7 @@ def test_the_smoothed_power_tends_to_what_the_judge_counts(task, cost):
     crane = cranes.build(task)
     pose = cranes.pose(crane, cranes.plane(task.machine, sample(task, judged.time)), judged.length[:, -1])
     moving = cranes.move(pose, judged.velocity[:, -1], judged.acceleration[:, -1])
-    smooth = direct.smooth_power(crane, pose, moving, cost, 1e6, 1e-8)
+    smooth = smoothed_nlp.smooth_power(crane, pose, moving, cost, 1e6, 1e-8)
     hair = np.abs(np.abs(judged.velocity) - task.machine.driven_velocity).min(axis=1) < 1e-4
     power = 1e-3 * (judged.power_ls if cost == "ls" else judged.power_cp)
     assert hair.mean() < 0.1
@@ -199,7 +202,7 @@ def test_the_smoothed_power_tends_to_what_the_judge_counts(task, cost):
 @pytest.mark.parametrize("cost", ["ls", "cp"])
 def test_collocation_and_polish_agree_on_a_short_smooth_task(task, cost):
     """Within 1 %: smoothing and damping here, stages of 0.05 s and, for LS, another basin there."""
-    motion = collocation.plan(task, cost, start_of(task))
+    motion = pseudospectral.plan(task, cost, start_of(task))
     judged = evaluate(task, motion)
     assert motion.status == "solved" and judged.feasible, motion.log
     assert motion.method == "pseudospectral" and motion.cost == cost
@@ -212,10 +215,10 @@ def test_collocation_and_polish_agree_on_a_short_smooth_task(task, cost):
 
 
 def test_an_unfinished_solve_is_no_result(task, monkeypatch):
-    monkeypatch.setitem(direct.IPOPT, "max_iter", 1)
-    motion = collocation.plan(task, "cp", start_of(task))
+    monkeypatch.setitem(smoothed_nlp.IPOPT, "max_iter", 1)
+    motion = pseudospectral.plan(task, "cp", start_of(task))
     assert motion.status.startswith("not converged: the iterations were used up (1 iterations, ")
-    assert len(motion.log) == len(collocation.LEVELS["cp"])
+    assert len(motion.log) == len(pseudospectral.LEVELS["cp"])
     assert all("Maximum_Iterations_Exceeded" in line for line in motion.log)  # the solver's own word
 
 
@@ -234,18 +237,18 @@ class Refusing:
 def test_what_casadi_refuses_is_told_in_plain_words():
     """Its assertion, lines with file names, once stood in the table of `compare` and ended `plan` in a traceback."""
     bounds, rows = (np.zeros((3, 2)), np.ones((3, 2))), (np.zeros((3, 1)), np.ones((3, 1)))
-    answer = direct.optimise(Refusing(), np.full((3, 2), np.nan), np.zeros((3, 1)), bounds, rows)
+    answer = smoothed_nlp.optimise(Refusing(), np.full((3, 2), np.nan), np.zeros((3, 1)), bounds, rows)
     assert not answer.converged and np.all(np.isfinite(answer.values))
-    assert answer.text == direct.UNUSABLE
+    assert answer.text == smoothed_nlp.UNUSABLE
     assert "assertion" in answer.raw and "\n" not in answer.raw
 
 
 def test_the_best_level_that_converged_is_kept(task, monkeypatch):
     """A last level that fails leaves what was found before, and says so in the log."""
-    levels = collocation.LEVELS["cp"][:1]
-    monkeypatch.setitem(collocation.LEVELS, "cp", levels)
-    alone = collocation.plan(task, "cp", start_of(task))
-    solve = collocation._solve
+    levels = pseudospectral.LEVELS["cp"][:1]
+    monkeypatch.setitem(pseudospectral.LEVELS, "cp", levels)
+    alone = pseudospectral.plan(task, "cp", start_of(task))
+    solve = pseudospectral._solve
 
     def failing(problem, functions, points, level, guess, drawn):
         attempt = solve(problem, functions, points, level, guess, drawn)
@@ -253,9 +256,9 @@ def test_the_best_level_that_converged_is_kept(task, monkeypatch):
             attempt = replace(attempt, answer=replace(attempt.answer, converged=False, raw="gave up"))
         return attempt
 
-    monkeypatch.setattr(collocation, "_solve", failing)
-    monkeypatch.setitem(collocation.LEVELS, "cp", (*levels, replace(levels[0], nodes=30)))
-    motion = collocation.plan(task, "cp", start_of(task))
+    monkeypatch.setattr(pseudospectral, "_solve", failing)
+    monkeypatch.setitem(pseudospectral.LEVELS, "cp", (*levels, replace(levels[0], nodes=30)))
+    motion = pseudospectral.plan(task, "cp", start_of(task))
     assert motion.status == "solved"
     assert motion.velocity == pytest.approx(alone.velocity)
     assert "30 nodes, s = 500 s/m: gave up" in motion.log[-1]
@@ -268,7 +271,7 @@ def test_what_is_exceeded_between_nodes_draws_in_the_limits_beside_it(task):
     velocity[41] = 1.25 * hardest * 0.05
     judged = evaluate(task, from_velocities(0.05, start_of(task), velocity, "test", "cp"))
     nodes = np.array([0.0, 1.0, 1.9, 2.3, 3.0, 4.0])
-    found, drawn = direct.exceeded(judged, nodes)
+    found, drawn = smoothed_nlp.exceeded(judged, nodes)
     assert found == pytest.approx(0.0)
     assert drawn[:, -1] == pytest.approx(np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0]) * 1.2 * 0.25 * hardest, abs=1e-9)
 
@@ -276,7 +279,7 @@ def test_what_is_exceeded_between_nodes_draws_in_the_limits_beside_it(task):
 def test_costs_and_paths_that_cannot_be():
     task = lb.load_task("forwarder-horizontal")
     with pytest.raises(InputError, match="method pseudospectral minimises cp or ls, not actuator"):
-        collocation.plan(task, "actuator", 0.1)
+        pseudospectral.plan(task, "actuator", 0.1)
     far = replace(task, path=Lines(((4.0, 0.0, 2.0), (20.0, 0.0, 2.0)), (10.0,)))
     with pytest.raises(InfeasibleError):
-        collocation.plan(far, "cp", 0.1)
+        pseudospectral.plan(far, "cp", 0.1)

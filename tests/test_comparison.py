@@ -12,10 +12,14 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import leanboom as lb
-from leanboom import cli, comparison, figures, jobs, motion, outcomes, planner, summaries
-from leanboom.comparison import Entry
+from leanboom.cli import app, result_tables
 from leanboom.errors import InputError, LeanboomError
-from leanboom.experiments import EXPERIMENTS
+from leanboom.model import motion
+from leanboom.planning import planner, summaries
+from leanboom.report import figures
+from leanboom.study import comparison, processes
+from leanboom.study.comparison import Entry
+from leanboom.study.papers.experiments import EXPERIMENTS
 
 BROKEN = "acceleration of tilt is 0.6000 m/s^2 at 1.000 s (stage 20), beyond its limit 0.5000 by 0.1000"
 # What each method makes of the task: LS energy [J], or its status.
@@ -59,11 +63,11 @@ def faked(monkeypatch, task):
         outcomes = []
         for index, argument in enumerate(arguments):
             try:
-                outcomes.append(jobs.Outcome(function(argument)))
+                result_tables.append(processes.Outcome(function(argument)))
             except LeanboomError as error:
-                outcomes.append(jobs.Outcome(failure=str(error), refused=True))
+                result_tables.append(processes.Outcome(failure=str(error), refused=True))
             except ValueError as error:
-                outcomes.append(jobs.Outcome(failure=f"ValueError: {error}"))
+                result_tables.append(processes.Outcome(failure=f"ValueError: {error}"))
             if done is not None:
                 done(index, outcomes[-1])
         return outcomes
@@ -78,7 +82,7 @@ def labels(rows):
 
 
 def leanboom(*arguments):
-    return CliRunner().invoke(cli.app, arguments, env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
+    return CliRunner().invoke(app.app, arguments, env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
 
 
 def test_feasible_rows_lead_by_energy_then_broken_ones_then_failures(faked, task):
@@ -206,7 +210,7 @@ def test_a_narrow_terminal_cuts_no_number(faked, task, width):
     """At 50 columns the table once ended in an ellipsis in place of energies and times."""
     result = lb.compare(task, methods=METHODS)
     text = io.StringIO()
-    outcomes.comparison(Console(file=text, width=width), result, None)
+    result_tables.comparison(Console(file=text, width=width), result, None)
     assert "…" not in text.getvalue()
     words = text.getvalue().split()
     for row in result.rows:
@@ -267,7 +271,7 @@ def test_a_simulated_comparison_has_the_closed_loops_energy_beside_the_plans(mon
         assert found[pump]["simulated_path_accuracy_m"] == run.path_accuracy
     row = comparison.Row(Entry("sns-joint", "joint-velocity"), "ls", "smallest", found["ls"], made)
     text = io.StringIO()
-    outcomes.comparison(
+    result_tables.comparison(
         Console(file=text, width=160), comparison.Comparison(task, ("ls",), ("smallest",), (row,)), None
     )
     assert "simulated" in text.getvalue() and f"{row.simulated / 1e3:.2f}" in text.getvalue()

@@ -17,8 +17,8 @@ from leanboom.errors import InputError
 
 PROBE = """
 from leanboom.compiling import njit, told
-from leanboom.formula import enable_in_kernels
-from leanboom.hydraulics import recuperating_flow
+from leanboom.formulas.formula import enable_in_kernels
+from leanboom.formulas.hydraulics import recuperating_flow
 
 enable_in_kernels()
 
@@ -56,7 +56,7 @@ def test_a_changed_formula_is_compiled_again(package, tmp_path):
     first = run(package, "import leanboom.probe", **home)
     assert first.stdout.split() == ["3.0", "1"], first.stderr
     assert run(package, "import leanboom.probe", **home).stdout.split() == ["3.0", "0"]
-    formulas = package / "hydraulics.py"
+    formulas = package / "formulas" / "hydraulics.py"
     text = formulas.read_text(encoding="utf-8")
     old = "return v * (piston_area - rod_side_area)"
     assert old in text
@@ -88,7 +88,7 @@ def test_without_any_folder_the_variable_is_named(place, monkeypatch, tmp_path):
     monkeypatch.setenv(compiling.VARIABLE, str(tmp_path / "file" / "kernels"))
     monkeypatch.setattr(compiling, "_temporary_folder", nowhere)
     with pytest.raises(InputError, match=r"cannot be kept in .*; set NUMBA_CACHE_DIR to a folder that can be written"):
-        compiling._folder("kernels")
+        compiling._folder("dynamic_programming.bellman")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="owners and permissions of POSIX systems")
@@ -122,29 +122,31 @@ def test_kernels_of_sources_long_out_of_use_are_removed(place):
     ago = time.time() - compiling.UNUSED - 60.0
     for folder in (old, strange):
         os.utime(folder, (ago, ago))
-    made = Path(compiling._folder("kernels"))
+    made = Path(compiling._folder("dynamic_programming.bellman"))
     assert set(place.iterdir()) == {recent, strange, made}
     os.utime(made, (ago, ago))
     compiling._folder.cache_clear()
-    assert compiling._folder("kernels") == str(made)
+    assert compiling._folder("dynamic_programming.bellman") == str(made)
     assert time.time() - made.stat().st_mtime < 60.0  # used, so it stays for another week
 
 
 def test_settings_that_change_compiled_code_have_their_own_folder(place, monkeypatch):
-    plain = compiling._folder("kernels")
+    plain = compiling._folder("dynamic_programming.bellman")
     monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
     compiling._folder.cache_clear()
-    assert compiling._folder("kernels") == plain != compiling._folder("program")
+    assert compiling._folder("dynamic_programming.bellman") == plain != compiling._folder("fixed_mode.derivatives")
     monkeypatch.setenv("NUMBA_BOUNDSCHECK", "1" if os.environ.get("NUMBA_BOUNDSCHECK") != "1" else "0")
     compiling._folder.cache_clear()
-    assert compiling._folder("kernels") != plain
+    assert compiling._folder("dynamic_programming.bellman") != plain
 
 
 def test_code_that_no_kernel_calls_may_change():
     """Compiling all kernels again for a word on the command line would take a minute or two."""
-    needed = fingerprint.needed("kernels") | fingerprint.needed("interior_point")
-    assert {"kernels", "interior_point", "program", "hydraulics", "dynamics", "formula", "compiling"} <= needed
-    assert not {"cli", "planner", "report", "judge", "stages"} & needed
+    needed = fingerprint.needed("dynamic_programming.bellman") | fingerprint.needed("fixed_mode.interior_point")
+    kernels = {"dynamic_programming.bellman", "fixed_mode.interior_point", "fixed_mode.derivatives"}
+    assert kernels | {"formulas.hydraulics", "formulas.dynamics", "formulas.formula", "compiling"} <= needed
+    others = {"cli.app", "planning.planner", "report.plan_page", "evaluation.evaluate", "problem.stages"}
+    assert not others & needed and others <= fingerprint._modules()
 
 
 def test_compiling_is_told_while_it_happens_and_only_then():

@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from leanboom import files, motion, outcomes, planner, tables
-from leanboom.console import add_row, new_table, say, show
-from leanboom.experiments import Line
-from leanboom.judge import evaluate
+from leanboom.cli import machine_tables, result_tables
+from leanboom.cli.console import add_row, new_table, say, show
+from leanboom.evaluation.evaluate import evaluate
+from leanboom.io import loading
+from leanboom.model import motion
+from leanboom.planning import planner
+from leanboom.study.papers.experiments import Line
 
 
 def printed(width, function, *arguments):
@@ -23,7 +26,7 @@ def printed(width, function, *arguments):
 
 @pytest.fixture(scope="module")
 def plan():
-    task = files.load_task("forwarder-vertical", start=0.6713)
+    task = loading.load_task("forwarder-vertical", start=0.6713)
     judged = evaluate(task, motion.from_velocities(0.1, 0.6713, np.zeros(61), "dp", "ls"))
     other = evaluate(task, motion.from_velocities(0.1, 0.516, np.zeros(61), "sns-actuator", "velocity"))
     return planner.Plan(task, "ls", judged.motion, judged, other, 64 << 20)
@@ -32,7 +35,7 @@ def plan():
 @pytest.mark.parametrize("width", [160, 50, 40, 20])
 def test_a_plans_table_keeps_its_numbers(plan, width):
     """At 50 columns energies once ended in an ellipsis."""
-    text = printed(width, outcomes.plan, plan, None, "forwarder")
+    text = printed(width, result_tables.plan, plan, None, "forwarder")
     assert "…" not in text
     for judged in (plan.evaluation, plan.baseline):
         assert all(f"{judged.energy(pump) / 1e3:.2f}" in text.split() for pump in planner.PUMPS)
@@ -41,14 +44,14 @@ def test_a_plans_table_keeps_its_numbers(plan, width):
 
 @pytest.mark.parametrize("width", [160, 50, 30])
 def test_tables_of_machines_and_tasks_keep_their_numbers(width):
-    machines = [files.load_machine(name) for name in files.bundled_machines()]
-    tasks = [files.load_task(name) for name in files.bundled_tasks()]
+    machines = [loading.load_machine(name) for name in loading.bundled_machines()]
+    tasks = [loading.load_task(name) for name in loading.bundled_tasks()]
     text = "".join(
         (
-            printed(width, tables.machine_detail, machines[0]),
-            printed(width, tables.machine_list, machines),
-            printed(width, tables.task_list, tasks),
-            printed(width, tables.task_detail, tasks[0]),
+            printed(width, machine_tables.machine_detail, machines[0]),
+            printed(width, machine_tables.machine_list, machines),
+            printed(width, machine_tables.task_list, tasks),
+            printed(width, machine_tables.task_detail, tasks[0]),
         )
     )
     assert "…" not in text
@@ -72,14 +75,14 @@ def test_reproduced_values_keep_their_numbers_in_narrow_terminals():
         records = {"table2": {}}
         lines = (Line("table2", "pseudo-inverse (actuator)", 1.234, 1.345, "other friction"),)
 
-    words = printed(40, outcomes.reproduction, Made, {"table2": "Table 2"}).split()
+    words = printed(40, result_tables.reproduction, Made, {"table2": "Table 2"}).split()
     assert {"1.234", "1.345", "+0.111", "friction"} <= set(words)
 
 
 def test_an_unsolved_plan_has_no_saving_in_its_table(plan):
     weak = replace(plan.task.machine.pump, max_flow=5.0 / 6e4)
     task = replace(plan.task, machine=replace(plan.task.machine, pump=weak))
-    text = printed(160, outcomes.plan, replace(plan, evaluation=evaluate(task, plan.motion)), None, "forwarder")
+    text = printed(160, result_tables.plan, replace(plan, evaluation=evaluate(task, plan.motion)), None, "forwarder")
     (row,) = [line for line in text.splitlines() if line.startswith("load-sensing pump (chosen)")]
     assert row.split()[-1] == "-" and "NOT SOLVED" in text and "all kept" not in text
 

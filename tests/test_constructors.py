@@ -7,16 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leanboom import dp, ranges
+from leanboom.components.friction import Friction
+from leanboom.components.linkages import Polynomial, RackAndPinion, Telescope
+from leanboom.components.paths import Braking, Lines, Moved, Part, Spline
+from leanboom.dynamic_programming import value_function
 from leanboom.errors import InputError
-from leanboom.files import dump_machine, dump_task, load_task
-from leanboom.friction import Friction
-from leanboom.linkage_types import Polynomial, RackAndPinion, Telescope
-from leanboom.machine import Body, Geometry, Joint
-from leanboom.motion import Motion, from_positions, from_velocities, make
-from leanboom.paths import Braking, Lines, Moved, Part, Spline
-from leanboom.replanning import replan
-from leanboom.task import Task
+from leanboom.io.loading import dump_machine, dump_task, load_task
+from leanboom.model.machine import Body, Geometry, Joint
+from leanboom.model.motion import Motion, from_positions, from_velocities, make
+from leanboom.model.task import Task
+from leanboom.planning.replanning import replan
+from leanboom.quantities import ranges
 
 TASK = load_task("forwarder-vertical")
 MACHINE, PATH = TASK.machine, TASK.path
@@ -152,7 +153,7 @@ def test_a_start_may_carry_its_unit():
 
 @pytest.mark.parametrize("grid", [(141, 71), [141, 71], (141.0, np.int64(71)), np.array([141, 71])])
 def test_whole_numbers_of_any_kind_make_a_grid(grid):
-    assert dp.nodes(grid) == (141, 71) and all(type(count) is int for count in dp.nodes(grid))
+    assert value_function.nodes(grid) == (141, 71) and all(type(count) is int for count in value_function.nodes(grid))
 
 
 @pytest.mark.parametrize(
@@ -169,7 +170,7 @@ def test_whole_numbers_of_any_kind_make_a_grid(grid):
 )
 def test_other_grids_are_refused(grid, message):
     with pytest.raises(InputError) as caught:
-        dp.nodes(grid)
+        value_function.nodes(grid)
     assert str(caught.value).startswith(message)
 
 

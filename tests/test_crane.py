@@ -14,11 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import leanboom
-from leanboom import crane as cranes
-from leanboom import dynamics, kinematics, stages
 from leanboom.errors import InputError
-from leanboom.files import bundled_tasks, load_task
-from leanboom.task import Lines, Task, sample
+from leanboom.formulas import dynamics, kinematics
+from leanboom.io.loading import bundled_tasks, load_task
+from leanboom.model import crane as cranes
+from leanboom.model.task import Lines, Task, sample
+from leanboom.problem import stages
 
 TASKS = {name: load_task(name) for name in bundled_tasks()}
 TASKS = {
@@ -318,12 +319,15 @@ def test_without_a_telescope_there_is_no_redundant_ratio():
 def formulas():
     """Every function that carries the decorator, read off the sources: the registry empties itself when used."""
     found = {}
-    for path in sorted(Path(leanboom.__file__).parent.glob("*.py")):
+    folder = Path(leanboom.__file__).parent / "formulas"
+    for path in sorted(folder.glob("*.py")):
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.FunctionDef) and any(
                 getattr(d, "id", "") == "formula" for d in node.decorator_list
             ):
-                found[f"{path.stem}.{node.name}"] = getattr(importlib.import_module(f"leanboom.{path.stem}"), node.name)
+                found[f"{path.stem}.{node.name}"] = getattr(
+                    importlib.import_module(f"leanboom.formulas.{path.stem}"), node.name
+                )
     return found
 
 
@@ -382,7 +386,7 @@ def kernel():
     """All formulas in one compiled function: a call by index, results into an array."""
     from numba import njit
 
-    import leanboom.kernels  # noqa: F401 - makes the formulas known to numba
+    import leanboom.dynamic_programming.bellman  # noqa: F401 - makes the formulas known to numba
 
     lines = ["def call(index, x, out):"]
     for index, (name, function) in enumerate(FORMULAS.items()):

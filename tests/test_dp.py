@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from leanboom import dp, grids, layout, motion, passes, pseudo_inverse, stages, starts
+from leanboom.components.costs import COSTS
+from leanboom.dynamic_programming import grids, sweeps, value_function
 from leanboom.errors import InputError
-from leanboom.files import load_task
-from leanboom.judge import evaluate, judged_cost
-from leanboom.objective import COSTS
-from leanboom.task import Lines, Task
+from leanboom.evaluation.evaluate import evaluate, judged_cost
+from leanboom.io.loading import load_task
+from leanboom.methods import pseudo_inverse
+from leanboom.model import motion
+from leanboom.model.task import Lines, Task
+from leanboom.problem import layout, stages, starts
 
 STEP = 0.1  # [s]
 MIDDLE = replace(load_task("forwarder-vertical"), start="middle")
@@ -24,14 +27,14 @@ def short(start="middle", duration=3.0) -> Task:
     return replace(MIDDLE, path=Lines(((5.5, 0.0, 2.6), (5.5, 0.0, 2.4)), (duration,)), start=start)
 
 
-def solved(task: Task, cost: str, positions: int, velocities: int) -> dp.Policy:
+def solved(task: Task, cost: str, positions: int, velocities: int) -> value_function.Policy:
     problem = stages.discretise(task, STEP)
-    return dp.solve(problem, grids.full_grid(problem, positions, velocities), cost)
+    return value_function.solve(problem, grids.full_grid(problem, positions, velocities), cost)
 
 
 def planned(task: Task, cost: str, positions: int, velocities: int) -> motion.Motion:
     policy = solved(task, cost, positions, velocities)
-    return dp.rollout(policy, starts.start_position(policy.problem, task.start))
+    return value_function.rollout(policy, starts.start_position(policy.problem, task.start))
 
 
 # Closed forms
@@ -57,7 +60,7 @@ def toy(cost: str, spacing: float, a0=None, terminal=None, *, step=0.1, count=10
     c, w = np.linspace(-half_c, half_c, positions), np.linspace(-half_w, half_w, velocities)
     last = np.zeros((positions, velocities)) if terminal is None else terminal(c[:, None], w[None, :])
     values = np.empty((count + 1, positions, velocities))
-    passes.sweep(row, np.zeros((count + 1, positions)), stage, cylinder, setting, last, values)
+    sweeps.sweep(row, np.zeros((count + 1, positions)), stage, cylinder, setting, last, values)
     return c, w, values
 
 
@@ -163,14 +166,14 @@ def test_error_falls_with_the_grid_spacing_at_order_one():
     The reference is the polished optimum of the same stages, found from the finest grid. 0.75 to 1.35 is accepted:
     single grids are lucky or unlucky by some per cent of the cost, as nodes hit the kinks or miss them.
     """
-    from leanboom import polish
+    from leanboom.fixed_mode import modes
 
     problem = stages.discretise(MIDDLE, STEP)
     grids = [(26, 13), (51, 25), (101, 49), (201, 97)]
     motions = [planned(MIDDLE, "cp", *grid) for grid in grids]
-    polisher, best = polish.build(problem, "cp"), motions[-1]
+    polisher, best = modes.build(problem, "cp"), motions[-1]
     for _ in range(4):
-        best, text = polish.solve(polisher, best, polish.modes(polisher, best))
+        best, text = modes.solve(polisher, best, modes.modes(polisher, best))
         assert best is not None, text
     reference = judged_cost(evaluate(MIDDLE, best), "cp")
     errors = np.array([judged_cost(evaluate(MIDDLE, found), "cp") for found in motions]) / reference - 1.0
@@ -188,7 +191,7 @@ def test_value_at_the_start_predicts_the_judged_cost():
     column = round(-stage[layout.W_LO] / stage[layout.DW])
     nodes = stage[layout.C_LO] + stage[layout.DC] * np.arange(201)
     value = np.interp(start, nodes, policy.values[0, :, column])
-    assert judged_cost(evaluate(MIDDLE, dp.rollout(policy, start)), "cp") == pytest.approx(value, rel=0.03)
+    assert judged_cost(evaluate(MIDDLE, value_function.rollout(policy, start)), "cp") == pytest.approx(value, rel=0.03)
 
 
 # Starts
@@ -206,14 +209,17 @@ def test_starts_of_every_kind():
 
 def test_best_start_has_the_least_value_over_all_starts():
     policy = solved(short(), "cp", 21, 11)
-    start = dp.best_start(policy)
+    start = value_function.best_start(policy)
     stage = policy.tables.stage[0]
     values = policy.values[0, :, 5]
     assert stage[layout.W_LO] + 5 * stage[layout.DW] == pytest.approx(0.0, abs=1e-15)
     assert start == pytest.approx(stage[layout.C_LO] + stage[layout.DC] * np.argmin(values))
-    others = [evaluate(short(), dp.rollout(policy, float(s))) for s in np.linspace(*policy.problem.intervals[0][0], 9)]
+    others = [
+        evaluate(short(), value_function.rollout(policy, float(s)))
+        for s in np.linspace(*policy.problem.intervals[0][0], 9)
+    ]
     least = min(judged_cost(other, "cp") for other in others if other.feasible)
-    assert judged_cost(evaluate(short(), dp.rollout(policy, start)), "cp") <= least * 1.02
+    assert judged_cost(evaluate(short(), value_function.rollout(policy, start)), "cp") <= least * 1.02
 
 
 def test_a_length_outside_the_feasible_extensions_is_refused_with_what_is_allowed():
@@ -257,8 +263,8 @@ def test_plans_stay_on_their_side_of_a_gap(side):
     task = gapped()
     problem = stages.discretise(task, STEP)
     start = float(problem.intervals[0][side].mean())
-    policy = dp.solve(problem, grids.full_grid(problem, 101, 21), "cp")
-    judged = evaluate(task, dp.rollout(policy, start))
+    policy = value_function.solve(problem, grids.full_grid(problem, 101, 21), "cp")
+    judged = evaluate(task, value_function.rollout(policy, start))
     assert judged.feasible, judged.status
     low, high = np.array([intervals[side] for intervals in problem.intervals]).T
     assert (judged.motion.position >= low - 1e-6).all() and (judged.motion.position <= high + 1e-6).all()
@@ -277,7 +283,7 @@ def test_every_kind_of_start_is_feasible_beside_a_gap(kind):
     problem = stages.discretise(gapped(), STEP)
     start = starts.start_position(problem, kind)
     if start is None:
-        start = dp.best_start(dp.solve(problem, grids.full_grid(problem, 101, 21), "cp"))
+        start = value_function.best_start(value_function.solve(problem, grids.full_grid(problem, 101, 21), "cp"))
     assert any(low - 1e-9 <= start <= high + 1e-9 for low, high in problem.intervals[0])
 
 
@@ -286,20 +292,20 @@ def test_every_kind_of_start_is_feasible_beside_a_gap(kind):
 
 def test_a_grid_that_does_not_fit_is_refused_before_it_is_built():
     with pytest.raises(InputError) as error:
-        dp.check_memory(1000, 20001, 10001, limit=4.0 * 2**30)
-    need = dp.memory(1000, 20001, 10001) / 2**30
+        value_function.check_memory(1000, 20001, 10001, limit=4.0 * 2**30)
+    need = value_function.memory(1000, 20001, 10001) / 2**30
     assert str(error.value) == (
         f"grid 20001x10001 over 1000 stages needs {need:.1f} GiB, 4.0 GiB are free; "
         "choose a coarser --grid or a longer --step"
     )
-    dp.check_memory(120, 201, 101, limit=4.0 * 2**30)
-    dp.check_memory(120, 201, 101)
+    value_function.check_memory(120, 201, 101, limit=4.0 * 2**30)
+    value_function.check_memory(120, 201, 101)
 
 
 def test_estimated_memory_covers_what_a_policy_holds():
     policy = solved(short(), "ls", 51, 25)
     held = policy.values.nbytes + policy.tables.coefficients.nbytes + policy.tables.outside.nbytes
-    assert held <= dp.memory(policy.problem.stages, 51, 25)
+    assert held <= value_function.memory(policy.problem.stages, 51, 25)
 
 
 def test_policies_and_motions_describe_themselves():

@@ -7,12 +7,13 @@ import itertools
 import numpy as np
 import pytest
 
-from leanboom import crane as cranes
-from leanboom import dp1, stages
+from leanboom.components.costs import COSTS
 from leanboom.errors import InputError
-from leanboom.files import load_task
-from leanboom.judge import evaluate
-from leanboom.objective import COSTS
+from leanboom.evaluation.evaluate import evaluate
+from leanboom.io.loading import load_task
+from leanboom.methods import dp_velocity
+from leanboom.model import crane as cranes
+from leanboom.problem import stages
 
 
 @pytest.mark.parametrize("cost", COSTS)
@@ -20,14 +21,14 @@ def test_equals_enumeration_of_all_controls(cost):
     """Four stages, velocities that reach position nodes exactly: interpolation is exact, so is the optimum."""
     task = load_task("forwarder-vertical")
     step = task.duration / 4
-    program = dp1.model(task, cost, (9, 5), step)
+    program = dp_velocity.model(task, cost, (9, 5), step)
     spacing = program.positions[1] - program.positions[0]
     velocities = np.array([-1.0, 0.0, 1.0, 2.0]) * spacing / step
-    program = dp1.Model(program.problem, cost, program.positions, velocities, program.penalty)
+    program = dp_velocity.Model(program.problem, cost, program.positions, velocities, program.penalty)
     ahead = np.zeros(9)
     for k in (3, 2, 1, 0):
-        ahead, _ = dp1.backward_stage(program, k, ahead)
-    tables = [dp1.stage_cost(program, k) for k in range(4)]
+        ahead, _ = dp_velocity.backward_stage(program, k, ahead)
+    tables = [dp_velocity.stage_cost(program, k) for k in range(4)]
     for first in range(9):
         best = np.inf
         for choice in itertools.product(range(4), repeat=4):
@@ -45,13 +46,13 @@ def test_equals_enumeration_of_all_controls(cost):
 def test_principal_costs_equal_the_judge():
     """Both pump powers of a judged motion, recomputed from its velocities and forces."""
     task = load_task("forwarder-half-cycle")
-    judged = evaluate(task, dp1.plan(task, "cp", 0.4, (15, 11), 0.3))
+    judged = evaluate(task, dp_velocity.plan(task, "cp", 0.4, (15, 11), 0.3))
     crane = cranes.build(task)
     velocity, force = tuple(judged.velocity.T), tuple(judged.force.T)
     for cost, power in (("ls", judged.power_ls), ("cp", judged.power_cp)):
-        np.testing.assert_allclose(dp1.principal_cost(crane, cost, velocity, force), power, rtol=1e-12)
+        np.testing.assert_allclose(dp_velocity.principal_cost(crane, cost, velocity, force), power, rtol=1e-12)
     work = np.maximum(judged.velocity * judged.force, 0.0).sum(axis=1)
-    np.testing.assert_allclose(dp1.principal_cost(crane, "actuator", velocity, force), work, rtol=1e-12)
+    np.testing.assert_allclose(dp_velocity.principal_cost(crane, "actuator", velocity, force), work, rtol=1e-12)
 
 
 def test_limits_are_counted():
@@ -62,17 +63,17 @@ def test_limits_are_counted():
     limit = task.machine.cylinders[1].velocity_limit
     at_limit = {"velocity": (0.0, limit, -limit, 0.0), "acceleration": (0.0,) * 4}
     beyond = {"velocity": (0.0, 1.1 * limit, -1.1 * limit, 0.0), "acceleration": (0.0, 0.0, 9.0, 0.0)}
-    assert dp1.violated(problem, 4, np.array(inside), at_limit) == 0.0
-    assert dp1.violated(problem, 4, np.array(problem.lower[4]), at_limit) == 0.0
-    assert dp1.violated(problem, 4, np.array(problem.lower[4] - 0.01), beyond) == 4.0
+    assert dp_velocity.violated(problem, 4, np.array(inside), at_limit) == 0.0
+    assert dp_velocity.violated(problem, 4, np.array(problem.lower[4]), at_limit) == 0.0
+    assert dp_velocity.violated(problem, 4, np.array(problem.lower[4] - 0.01), beyond) == 4.0
 
 
 def test_forces_are_quasi_static():
     """Standing still anywhere costs no work, so `actuator` prices motion alone; no inertia appears."""
     task = load_task("loader-triangle-small")
-    program = dp1.model(task, "actuator", (7, 3), 3.0)
-    assert np.all(dp1.stage_cost(program, 0)[:, 1] % program.penalty == 0.0)  # rest at the start of the path
-    assert np.any(dp1.stage_cost(program, 0)[:, 2] % program.penalty > 0.0)
+    program = dp_velocity.model(task, "actuator", (7, 3), 3.0)
+    assert np.all(dp_velocity.stage_cost(program, 0)[:, 1] % program.penalty == 0.0)  # rest at the start of the path
+    assert np.any(dp_velocity.stage_cost(program, 0)[:, 2] % program.penalty > 0.0)
 
 
 @pytest.mark.parametrize("name", ["forwarder-vertical", "loader-triangle-small"])
@@ -82,7 +83,7 @@ def test_beats_the_other_pumps_plan_from_the_middle(name, cost):
     task = load_task(name)
     problem = stages.discretise(task, 0.1)
     start = float(0.5 * (problem.lower[0] + problem.upper[0]))
-    judged = {c: evaluate(task, dp1.plan(task, c, start, (101, 51), 0.1)) for c in ("ls", "cp")}
+    judged = {c: evaluate(task, dp_velocity.plan(task, c, start, (101, 51), 0.1)) for c in ("ls", "cp")}
     other = "cp" if cost == "ls" else "ls"
     assert judged[cost].energy(cost) <= judged[other].energy(cost)
     assert judged[cost].limit_use.position <= 1.001
@@ -97,4 +98,4 @@ def test_beats_the_other_pumps_plan_from_the_middle(name, cost):
 )
 def test_wrong_input_is_named(arguments, message):
     with pytest.raises(InputError, match=message):
-        dp1.plan(**({"task": load_task("forwarder-vertical"), "cost": "cp", "start_position": 0.5} | arguments))
+        dp_velocity.plan(**({"task": load_task("forwarder-vertical"), "cost": "cp", "start_position": 0.5} | arguments))

@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leanboom import crane as cranes
-from leanboom import dp_paper, stages
 from leanboom.errors import InputError
-from leanboom.files import load_task
-from leanboom.judge import evaluate
+from leanboom.evaluation.evaluate import evaluate
+from leanboom.io.loading import load_task
+from leanboom.methods import dp_paper
+from leanboom.model import crane as cranes
+from leanboom.problem import stages
 
 
 def lattice(cost, stages_=3):

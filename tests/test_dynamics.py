@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from leanboom import crane as cranes
-from leanboom import dynamics, kinematics
-from leanboom.files import load_machine, load_task
-from leanboom.machine import Body
+from leanboom.formulas import dynamics, kinematics
+from leanboom.io.loading import load_machine, load_task
+from leanboom.model import crane as cranes
+from leanboom.model.machine import Body
 
 NAMES = ("forwarder", "loader")
 SHARE = st.floats(0.0, 1.0)

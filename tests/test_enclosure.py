@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from leanboom import crane as cranes
-from leanboom import enclosure, load_task, stages
-from leanboom.enclosure import Enclosure
+from leanboom import load_task
+from leanboom.certificate import taylor_model
+from leanboom.certificate.taylor_model import Enclosure
+from leanboom.model import crane as cranes
+from leanboom.problem import stages
 
 FUNCTIONS = {
     "sum and product": lambda x: (1.5 - x) * x + 2.0 * x - x / 3.0,
@@ -27,7 +29,7 @@ def inside(enclosed: Enclosure, t: float, value: np.ndarray) -> np.ndarray:
 def test_contains_the_function_everywhere_in_the_cell(name, rng):
     function = FUNCTIONS[name]
     middle, half = rng.uniform(-1.0, 1.0, 200), rng.uniform(0.0, 0.3, 200)
-    enclosed = function(enclosure.variable(middle, half))
+    enclosed = function(taylor_model.variable(middle, half))
     for t in np.linspace(-1.0, 1.0, 21):
         assert inside(enclosed, t, function(middle + half * t)).max() <= 0.0
 
@@ -35,13 +37,13 @@ def test_contains_the_function_everywhere_in_the_cell(name, rng):
 @pytest.mark.parametrize("name", [name for name in FUNCTIONS if name != "kinks"])
 def test_error_falls_with_the_third_power(name):
     middle = np.linspace(-0.9, 0.9, 7)
-    coarse, fine = (FUNCTIONS[name](enclosure.variable(middle, half)).error for half in (2e-2, 1e-2))
+    coarse, fine = (FUNCTIONS[name](taylor_model.variable(middle, half)).error for half in (2e-2, 1e-2))
     assert np.all(fine <= coarse / 6.0)
 
 
 def test_what_cannot_be_bounded_has_no_finite_error():
     with np.errstate(all="ignore"):
-        through_zero = 1.0 / enclosure.variable(np.array([0.05]), np.array([0.1]))
+        through_zero = 1.0 / taylor_model.variable(np.array([0.05]), np.array([0.1]))
     assert not np.isfinite(through_zero.error).any()
 
 
@@ -55,11 +57,11 @@ def test_contains_the_motion_of_all_cylinders(name, rng):
     def moving(position):
         return cranes.move(cranes.pose(problem.crane, plane, position), 0.2, -0.3)
 
-    enclosed = moving(enclosure.variable(middle, half))
+    enclosed = moving(taylor_model.variable(middle, half))
     for t in (-1.0, *rng.uniform(-1.0, 1.0, 3), 1.0):
         exact = moving(middle + half * t)
         for quantity in ("velocity", "acceleration", "load"):
             for one, other in zip(getattr(enclosed, quantity), getattr(exact, quantity), strict=True):
                 if isinstance(one, Enclosure):
-                    room = one.error + enclosure.ROUNDING * np.abs(one.p0)
+                    room = one.error + taylor_model.ROUNDING * np.abs(one.p0)
                     assert np.all(np.abs(other - (one.p0 + t * (one.p1 + t * one.p2))) <= room)

@@ -10,11 +10,12 @@ import pytest
 from benchmarks import export_tables
 from scipy.io import loadmat, savemat
 
-from leanboom import grids, kernels, layout, stage_arrays, stages
+from leanboom.components.costs import COSTS
+from leanboom.dynamic_programming import bellman, grids
 from leanboom.errors import InputError
-from leanboom.files import load_task
-from leanboom.objective import COSTS
-from leanboom.planner import run
+from leanboom.io.loading import load_task
+from leanboom.planning.planner import run
+from leanboom.problem import layout, stage_arrays, stages
 
 OCTAVE = Path(export_tables.__file__).parent / "octave"
 GRID, STEP = (21, 11), 0.5
@@ -69,19 +70,19 @@ def test_costs_from_the_file_are_those_of_the_kernels(name, pump, tmp_path, rng)
         w = table.stage[k, layout.W_LO] + table.stage[k, layout.DW] * np.arange(table.velocities)
         for p in range(GRID[0]):
             c = np.full_like(w, table.stage[k, layout.C_LO] + p * table.stage[k, layout.DC])
-            row = kernels.empty_row(w.size, table.coefficients.shape[2], 2)
+            row = bellman.empty_row(w.size, table.coefficients.shape[2], 2)
             node, lowest = table.coefficients[k, p], table.stage[k, layout.FIXED_PRESSURE]
-            kernels.limit_controls(node, table.outside[k, p], w, k, table.stage, table.cylinder, setting, row)
-            kernels.charge(node, w, k, table.stage, table.cylinder, setting, code, row)
+            bellman.limit_controls(node, table.outside[k, p], w, k, table.stage, table.cylinder, setting, row)
+            bellman.charge(node, w, k, table.stage, table.cylinder, setting, code, row)
             if pump == "ls":
-                kernels.load_lines(node, w, table.cylinder, setting, code, lowest, row)
-            low, high = row.state[kernels.LOW, : w.size], row.state[kernels.HIGH, : w.size]
+                bellman.load_lines(node, w, table.cylinder, setting, code, lowest, row)
+            low, high = row.state[bellman.LOW, : w.size], row.state[bellman.HIGH, : w.size]
             u = low + rng.uniform(0.01, 0.99, size=w.size) * (high - low)
             _, cost, broken = model(par, k, c, w, u)
-            wanted = row.state[kernels.BASE, : w.size].copy()
+            wanted = row.state[bellman.BASE, : w.size].copy()
             if pump == "ls":
-                asked = [kernels.running_cost(u[j], j, code, lowest, row.line) for j in range(w.size)]
-                wanted += row.state[kernels.RATE, : w.size] * asked
+                asked = [bellman.running_cost(u[j], j, code, lowest, row.line) for j in range(w.size)]
+                wanted += row.state[bellman.RATE, : w.size] * asked
             np.testing.assert_allclose(cost, wanted, rtol=1e-9, atol=1e-6)
             checked += int((~broken).sum())
     assert checked > 100

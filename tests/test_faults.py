@@ -10,9 +10,10 @@ import pytest
 from benchmarks import faults
 
 from bundled_texts import written
-from leanboom import planner, runfolder
 from leanboom.errors import InputError
-from leanboom.files import load_machine, load_task
+from leanboom.io.loading import load_machine, load_task
+from leanboom.planning import planner
+from leanboom.report import run_folder
 
 SEED = 2017
 SHORT = """\
@@ -116,7 +117,7 @@ def test_what_a_killed_run_leaves_is_found(monkeypatch, tmp_path):
 
     def leave(command, out, sent, after, writing):
         out.mkdir(exist_ok=True)
-        (out / runfolder.SUMMARY).write_text("{")
+        (out / run_folder.SUMMARY).write_text("{")
         out.with_name(".run.leanboom-new-01234567").mkdir()
         return 'Traceback (most recent call last):\n  File "/usr/lib/leanboom/cli.py"\nKeyboardInterrupt'
 

@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 
 from bundled_texts import FORWARDER, HALF_CYCLE, written
+from leanboom.components.linkages import Polynomial
+from leanboom.components.valves import Connection, MobileValve
 from leanboom.errors import InputError
-from leanboom.files import (
+from leanboom.io.loading import (
     bundled_machines,
     bundled_tasks,
     dump_machine,
@@ -23,13 +25,11 @@ from leanboom.files import (
     load_machine,
     load_task,
 )
-from leanboom.linkage_types import Polynomial
-from leanboom.machine import METERING, Machine
-from leanboom.source import parse
-from leanboom.task import Lines, Spline, sample
-from leanboom.units import KINDS, slip, write
-from leanboom.units import parse as quantity
-from leanboom.valve_types import Connection, MobileValve
+from leanboom.io.yaml_source import parse
+from leanboom.model.machine import METERING, Machine
+from leanboom.model.task import Lines, Spline, sample
+from leanboom.quantities.units import KINDS, slip, write
+from leanboom.quantities.units import parse as quantity
 
 
 def part(machine, name):
@@ -386,7 +386,7 @@ def test_an_unknown_schema_is_refused():
 
 def test_importing_files_loads_nothing_heavy():
     heavy = {"numpy", "scipy", "pydantic", "ruamel", "pint", "numba"}
-    code = f"import sys, leanboom.files; print(*{heavy} & set(sys.modules))"
+    code = f"import sys, leanboom.io.loading; print(*{heavy} & set(sys.modules))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == ""
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from leanboom import folders
 from leanboom.errors import InputError
+from leanboom.io import folders
 
 HOLD = """
 import sys, time

@@ -7,7 +7,10 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 import slow_bounds
-from leanboom import cells, certify, guide, incumbent, layout, load_task, motion, stages
+from leanboom import certify, load_task
+from leanboom.certificate import lower_bounds, partition, upper_bound, value_slopes
+from leanboom.model import motion
+from leanboom.problem import layout, stages
 from slow_bounds import quiet
 
 REACH = 0.6  # of a cell, how far from its middle differences are taken
@@ -18,22 +21,22 @@ def loader():
     """The medium triangle from the retracted telescope, coarsely, its cells and a guide."""
     task = replace(load_task("loader-triangle-medium"), start="smallest")
     problem = stages.discretise(task, 0.25)
-    kept = cells.whole(problem, "cp")
+    kept = partition.whole(problem, "cp")
     held = motion.from_velocities(problem.step, problem.lower[0] + 0.3, np.zeros(problem.stages + 1), "held", "cp")
-    return problem, kept, guide.make(problem, "cp", kept.viable, held)
+    return problem, kept, value_slopes.make(problem, "cp", kept.viable, held)
 
 
 def test_guided_bounds_see_the_end_of_the_stroke_and_stay_below_every_motion(loader):
     problem, kept, known = loader
     start = float(problem.lower[0])
-    guided = cells.bound(kept, start, quiet, known.slopes)
-    assert guided.lower > 1.01 * cells.bound(kept, start, quiet).lower
+    guided = lower_bounds.bound(kept, start, quiet, known.slopes)
+    assert guided.lower > 1.01 * lower_bounds.bound(kept, start, quiet).lower
     # Nor above a policy's motion, stage by stage.
-    moving = guide.dp.rollout(known.policies[0], start)
-    measured = incumbent.measure(problem, moving, "cp")
+    moving = value_slopes.dp.rollout(known.policies[0], start)
+    measured = upper_bound.measure(problem, moving, "cp")
     assert measured.keeps_limits
     assert guided.lower <= measured.energy
-    assert cells.residuals(guided, moving, measured.costs).min() >= -1e-9 * measured.energy
+    assert lower_bounds.residuals(guided, moving, measured.costs).min() >= -1e-9 * measured.energy
 
 
 def test_slopes_that_are_no_numbers_are_level_ones(loader):
@@ -43,10 +46,10 @@ def test_slopes_that_are_no_numbers_are_level_ones(loader):
     def given(value):
         return lambda cells_, k: np.full((*cells_.active[k].shape, 2), value)
 
-    level = cells.bound(kept, start, quiet, given(0.0)).lower
+    level = lower_bounds.bound(kept, start, quiet, given(0.0)).lower
     assert 0.0 < level < np.inf
     for value in (np.nan, np.inf, -np.inf):
-        assert cells.bound(kept, start, quiet, given(value)).lower == level
+        assert lower_bounds.bound(kept, start, quiet, given(value)).lower == level
 
 
 def test_the_ridge_is_the_least_value_of_every_line(rng):
@@ -57,7 +60,7 @@ def test_the_ridge_is_the_least_value_of_every_line(rng):
     setting[layout.STEP] = step
     line = np.linspace(1.0 - 0.5 * step * 0.4, 1.6 + 0.5 * step * 0.4, 30)
     least, next_w = np.empty(30), np.empty(30)
-    guide.ridge(values, stage, setting, 0, line, least, next_w)
+    value_slopes.ridge(values, stage, setting, 0, line, least, next_w)
     at = RegularGridInterpolator((1.0 + 0.1 * np.arange(7), -0.4 + 0.2 * np.arange(5)), values.astype(float))
     for s, value, w in zip(line, least, next_w, strict=True):
         tried = -0.4 + 0.2 * np.arange(5)
@@ -70,8 +73,8 @@ def test_the_ridge_is_the_least_value_of_every_line(rng):
 
 def test_a_ridge_is_found_once_for_cells_of_any_size(loader, monkeypatch):
     _, kept, known = loader
-    fresh, k, plain, found = replace(known), 12, guide.ridge, []
-    monkeypatch.setattr(guide, "ridge", lambda *given: (found.append(given[3]), plain(*given)))
+    fresh, k, plain, found = replace(known), 12, value_slopes.ridge, []
+    monkeypatch.setattr(value_slopes, "ridge", lambda *given: (found.append(given[3]), plain(*given)))
     first = fresh.slopes(kept, k)
     assert found == [k + 1, k + 1]  # the tube's and the whole policy's
     assert np.array_equal(fresh.slopes(kept, k), first)
@@ -91,7 +94,7 @@ def given_values(known, k, values):
 
 def nearest(known, kept, k):
     """The cells where the slopes of a stage's cells are taken: the whole policy knows them all."""
-    mask = guide._known(known.policies[0], kept, k)  # noqa: SLF001
+    mask = value_slopes._known(known.policies[0], kept, k)  # noqa: SLF001
     assert mask.all()
     return known._nearest(known.policies[0], kept, k, mask)  # noqa: SLF001
 
@@ -100,7 +103,7 @@ def nearest(known, kept, k):
 def test_slopes_are_those_of_the_least_cost_to_go(loader, pump):
     """Against differences of stage cost plus values ahead, least over all accelerations, where nothing has a kink."""
     problem, _, known = loader
-    kept, k = cells.whole(problem, pump), 40
+    kept, k = partition.whole(problem, pump), 40
 
     def values(above, w):
         return 3e4 * (above - 0.3) ** 2 + 2e4 * (w - 0.05) ** 2
@@ -151,7 +154,7 @@ def test_beside_lost_states_the_nearest_cells_with_a_margin_are_taken(loader):
     problem, kept, known = loader
     k = 10
     row, column = nearest(known, kept, k)
-    apart = guide.MARGIN / (known.policies[0].grid.positions - 1)
+    apart = value_slopes.MARGIN / (known.policies[0].grid.positions - 1)
     first = int(np.ceil(apart * kept.positions - 1e-9))
     assert row[: first + 1].tolist() == [first] * (first + 1)
     assert row[first + 1] == first + 1
@@ -170,7 +173,10 @@ def test_a_tube_gives_the_slopes_inside_it_and_only_there(loader):
     differ = np.any(before != after, axis=-1)
     assert differ.sum() > 50
     rows, edges = kept.rows[k], kept.edges[k]
-    near_c, near_w = 0.6 * guide.WIDTH, 0.6 * guide.SPREAD  # around the motion, held 0.3 m above the first lower end
+    near_c, near_w = (
+        0.6 * value_slopes.WIDTH,
+        0.6 * value_slopes.SPREAD,
+    )  # around the motion, held 0.3 m above the first lower end
     centre = problem.lower[0] + 0.3
     inside_c = (rows[:-1] >= centre - near_c) & (rows[1:] <= centre + near_c)
     inside_w = (edges[:, :-1] >= -near_w) & (edges[:, 1:] <= near_w)
@@ -181,13 +187,13 @@ def test_a_tube_gives_the_slopes_inside_it_and_only_there(loader):
 
 @pytest.mark.parametrize(("gap", "guided"), [(99.0, False), (0.6, True)])
 def test_a_guide_is_asked_where_the_first_bound_does_not_do(monkeypatch, gap, guided):
-    plain, asked = cells.bound, []
+    plain, asked = lower_bounds.bound, []
 
     def watched(kept, begin, clock, given=None, limit=np.inf, coarse=False):
         asked.append(given)
         return plain(kept, begin, clock, given, limit, coarse)
 
-    monkeypatch.setattr(cells, "bound", watched)
+    monkeypatch.setattr(lower_bounds, "bound", watched)
     proof = certify(load_task("forwarder-vertical", start="middle"), "cp", step=0.25, gap=gap, seconds=120.0)
     assert any(given is not None for given in asked) == guided
     assert 0.0 < proof.lower_bound_j <= proof.energy_j

@@ -7,13 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leanboom import crane as cranes
-from leanboom import dp, grids, horizon, pseudo_inverse, stages
+from leanboom.components.valves import MobileValve
+from leanboom.dynamic_programming import grids, value_function
 from leanboom.errors import InfeasibleError, InputError
-from leanboom.files import load_task
-from leanboom.judge import evaluate
-from leanboom.task import Moved
-from leanboom.valve_types import MobileValve
+from leanboom.evaluation.evaluate import evaluate
+from leanboom.io.loading import load_task
+from leanboom.methods import pseudo_inverse
+from leanboom.model import crane as cranes
+from leanboom.model.task import Moved
+from leanboom.planning import receding_horizon
+from leanboom.problem import stages
 
 TASK = replace(load_task("forwarder-vertical"), start="middle")
 QUICK = {"horizon": 1.5, "every": 0.5, "step": 0.1, "grid": (41, 21)}
@@ -21,7 +24,7 @@ QUICK = {"horizon": 1.5, "every": 0.5, "step": 0.1, "grid": (41, 21)}
 
 @pytest.fixture(scope="module")
 def recedings():
-    return {pump: horizon.plan_receding(TASK, pump=pump, **QUICK) for pump in ("ls", "cp")}
+    return {pump: receding_horizon.plan_receding(TASK, pump=pump, **QUICK) for pump in ("ls", "cp")}
 
 
 @pytest.mark.parametrize("pump", ["ls", "cp"])
@@ -33,14 +36,19 @@ def test_limits_are_kept_and_energy_lies_between_whole_path_and_pseudo_inverse(r
     today = evaluate(TASK, pseudo_inverse.resolve(TASK, float(found.position[0])))
     assert judged.energy(pump) < 0.8 * today.energy(pump)
     problem = stages.discretise(TASK, 0.1)
-    whole = evaluate(TASK, dp.rollout(dp.solve(problem, grids.full_grid(problem, 201, 101), pump), found.position[0]))
+    whole = evaluate(
+        TASK,
+        value_function.rollout(
+            value_function.solve(problem, grids.full_grid(problem, 201, 101), pump), found.position[0]
+        ),
+    )
     assert 0.9 * whole.energy(pump) < judged.energy(pump) < 1.25 * whole.energy(pump)
 
 
 def test_nothing_beyond_the_horizon_changes_what_is_done_now(recedings):
     """The target moves at 4 s: plans made up to 2.5 s do not see it, and the one of 2.5 s is carried out until 3 s."""
     moved = replace(TASK, path=Moved(TASK.path, (0.2, 0.1, 0.2), 4.0, 1.5))
-    other = horizon.plan_receding(moved, pump="cp", **QUICK)
+    other = receding_horizon.plan_receding(moved, pump="cp", **QUICK)
     assert other.status == "solved"
     np.testing.assert_array_equal(other.velocity[:31], recedings["cp"].velocity[:31])
     np.testing.assert_array_equal(other.position[:31], recedings["cp"].position[:31])
@@ -48,14 +56,14 @@ def test_nothing_beyond_the_horizon_changes_what_is_done_now(recedings):
 
 
 def test_a_horizon_over_the_whole_path_is_one_plan():
-    found = horizon.plan_receding(TASK, pump="cp", **{**QUICK, "horizon": 6.0})
+    found = receding_horizon.plan_receding(TASK, pump="cp", **{**QUICK, "horizon": 6.0})
     assert len(found.log) == 1 and found.log[0].endswith("solved")
-    longer = horizon.plan_receding(TASK, pump="cp", **{**QUICK, "horizon": 60.0})
+    longer = receding_horizon.plan_receding(TASK, pump="cp", **{**QUICK, "horizon": 60.0})
     np.testing.assert_array_equal(found.velocity, longer.velocity)
 
 
 def test_the_price_pays_for_room_and_for_being_able_to_stop():
-    ends = horizon.Price(low=1.0, high=3.0, room=0.5, worth=100.0, brake=0.5, slope=1e4)
+    ends = receding_horizon.Price(low=1.0, high=3.0, room=0.5, worth=100.0, brake=0.5, slope=1e4)
     price = [float(ends(np.array(c), np.array(0.0))) for c in (1.0, 1.25, 1.5, 2.0, 3.0)]
     assert price == pytest.approx([25.0, 6.25, 0.0, 0.0, 0.0])  # a triangle's area: 100 J/m over half of 0.5 m
     # 0.5 m/s needs 0.25 m to stop.
@@ -83,12 +91,14 @@ def test_room_is_worth_the_power_of_extending_by_a_metre_a_second():
         for c, f, _ in lines
     ]  # fmt: skip
     for cost, supply in (("ls", max(asked) + pump.ls_margin), ("cp", pump.constant_pressure)):
-        assert horizon.price(problem, cost).worth == pytest.approx(horizon.WORTH * supply * flow / 0.8, rel=1e-9)
+        assert receding_horizon.price(problem, cost).worth == pytest.approx(
+            receding_horizon.WORTH * supply * flow / 0.8, rel=1e-9
+        )
 
 
 def test_progress_is_told():
     told = []
-    horizon.plan_receding(TASK, pump="cp", **QUICK, progress=lambda text, share: told.append((text, share)))
+    receding_horizon.plan_receding(TASK, pump="cp", **QUICK, progress=lambda text, share: told.append((text, share)))
     assert told[0] == ("plan at 0.0 s of 6 s", 0.0) and len(told) == 10
     assert [share for _, share in told] == sorted(share for _, share in told)
 
@@ -96,7 +106,7 @@ def test_progress_is_told():
 def test_a_path_out_of_reach_is_refused_when_it_comes_into_sight():
     gone = replace(TASK, path=Moved(TASK.path, (9.0, 0.0, 0.0), 3.0, 2.0))
     with pytest.raises(InfeasibleError, match="the path leaves the crane's reach"):
-        horizon.plan_receding(gone, pump="cp", **QUICK)
+        receding_horizon.plan_receding(gone, pump="cp", **QUICK)
 
 
 def test_bad_arguments_are_refused_with_what_to_change():
@@ -111,7 +121,7 @@ def test_bad_arguments_are_refused_with_what_to_change():
         ({"grid": (2, 21)}, "grid = 2x21; needs at least 3 positions and 3 velocities"),
     ):
         with pytest.raises(InputError) as error:
-            horizon.plan_receding(TASK, **{**QUICK, **wrong})
+            receding_horizon.plan_receding(TASK, **{**QUICK, **wrong})
         assert str(error.value) == text
     with pytest.raises(InputError, match="start = best; needs the whole path, choose smallest, middle or a length"):
-        horizon.plan_receding(replace(TASK, start="best"), **QUICK)
+        receding_horizon.plan_receding(replace(TASK, start="best"), **QUICK)

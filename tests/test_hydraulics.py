@@ -11,11 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from leanboom import hydraulic_drives, hydraulics
-from leanboom.files import load_machine
-from leanboom.hydraulic_drives import Drive
-from leanboom.pump_types import Pump
-from leanboom.valve_types import Connection, IndependentMetering, MobileValve
+from leanboom.components.pumps import Pump
+from leanboom.components.valves import Connection, IndependentMetering, MobileValve
+from leanboom.formulas import hydraulics
+from leanboom.io.loading import load_machine
+from leanboom.model import hydraulic_drives
+from leanboom.model.hydraulic_drives import Drive
 
 FORWARDER, LOADER = load_machine("forwarder"), load_machine("loader")
 BASE, LIFT, TILT, EXTENSION = FORWARDER.cylinders

@@ -12,9 +12,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from leanboom import cost_scale, interior_point, layout, motion, polish, program, stage_arrays, stages
-from leanboom import crane as cranes
-from leanboom.objective import COSTS
+from leanboom.components.costs import COSTS
+from leanboom.fixed_mode import derivatives, interior_point, modes
+from leanboom.model import crane as cranes
+from leanboom.model import motion
+from leanboom.problem import cost_scale, layout, stage_arrays, stages
 from test_polish import TASKS, built, seed
 
 STAGES = 4
@@ -22,54 +24,54 @@ BARRIER = 3e-4
 
 
 @cache
-def small(name: str, cost: str, free: bool = False) -> tuple[program.Program, program.Point]:
+def small(name: str, cost: str, free: bool = False) -> tuple[derivatives.Program, derivatives.Point]:
     """A program of a few stages, and a point inside its domain that keeps the dynamics and ends at rest."""
     task = TASKS[name]
-    polisher = polish.build(stages.discretise(task, task.duration / STAGES), cost)
+    polisher = modes.build(stages.discretise(task, task.duration / STAGES), cost)
     problem = polisher.problem
     rng = np.random.default_rng(20170506)
     velocity = 0.04 * rng.normal(size=STAGES + 1)
     velocity[[0, -1]] = 0.0
     c0 = problem.lower[0] + 0.47 * (problem.upper[0] - problem.lower[0])  # between two nodes of the table
     moved = motion.from_velocities(problem.step, float(c0), velocity, "test", cost)
-    switches = polish.modes(polisher, moved)
-    mode = polish._mode_parameters(polisher, switches)
-    stated = polish._program(polisher, moved, switches, mode, free, (1.0, 1.0))
-    point = polish._guess(polisher, moved, switches, mode)
+    switches = modes.modes(polisher, moved)
+    mode = modes._mode_parameters(polisher, switches)
+    stated = modes._program(polisher, moved, switches, mode, free, (1.0, 1.0))
+    point = modes._guess(polisher, moved, switches, mode)
     point.local[:] += 0.1 * rng.random(point.local.shape)
     return stated, point
 
 
-def count(stated: program.Program) -> tuple[int, int]:
+def count(stated: derivatives.Program) -> tuple[int, int]:
     """Stages and cylinders."""
     return stated.table.shape[0] - 1, stated.table.shape[2]
 
 
-def flat(point: program.Point) -> np.ndarray:
+def flat(point: derivatives.Point) -> np.ndarray:
     return point.every.copy()
 
 
-def shaped(stated: program.Program, x: np.ndarray) -> program.Point:
-    point = program.empty_point(*count(stated))
+def shaped(stated: derivatives.Program, x: np.ndarray) -> derivatives.Point:
+    point = derivatives.empty_point(*count(stated))
     point.every[:] = x
     return point
 
 
-def empty(stated: program.Program) -> program.Limits:
-    return program.empty_limits(*count(stated))
+def empty(stated: derivatives.Program) -> derivatives.Limits:
+    return derivatives.empty_limits(*count(stated))
 
 
-def measured(stated: program.Program, x: np.ndarray) -> tuple[float, np.ndarray]:
+def measured(stated: derivatives.Program, x: np.ndarray) -> tuple[float, np.ndarray]:
     """Cost and values of all limits at a point."""
     stages_, n = count(stated)
     point, value = shaped(stated, x), empty(stated)
     jet = np.empty((stages_ + 1, n, 3, layout.COEFFICIENTS))
-    program.jets(stated, point.state[:, 0], jet)
-    cost = program.evaluate(stated, point, jet, np.empty((n, 3, program.DERIVATIVES)), value)
+    derivatives.jets(stated, point.state[:, 0], jet)
+    cost = derivatives.evaluate(stated, point, jet, np.empty((n, 3, derivatives.DERIVATIVES)), value)
     return cost, value.every.copy()
 
 
-def multipliers(stated: program.Program) -> tuple[program.Limits, program.Limits]:
+def multipliers(stated: derivatives.Program) -> tuple[derivatives.Limits, derivatives.Limits]:
     """Slacks and multipliers drawn at random."""
     rng = np.random.default_rng(7)
     slack, multiplier = empty(stated), empty(stated)
@@ -78,26 +80,26 @@ def multipliers(stated: program.Program) -> tuple[program.Limits, program.Limits
     return slack, multiplier
 
 
-def assembled(stated: program.Program, x: np.ndarray, slack, multiplier):
+def assembled(stated: derivatives.Program, x: np.ndarray, slack, multiplier):
     """Newton's whole matrix and gradient over all variables, from the parts of ends and nodes."""
     stages_, n = count(stated)
     point, value = shaped(stated, x), empty(stated)
     jet = np.empty((stages_ + 1, n, 3, layout.COEFFICIENTS))
-    program.jets(stated, point.state[:, 0], jet)
-    moved, bends = np.empty((n, 3, program.DERIVATIVES)), np.empty((n, 3))
-    program.evaluate(stated, point, jet, moved, value)
+    derivatives.jets(stated, point.state[:, 0], jet)
+    moved, bends = np.empty((n, 3, derivatives.DERIVATIVES)), np.empty((n, 3))
+    derivatives.evaluate(stated, point, jet, moved, value)
     matrix, gradient = np.zeros((x.size, x.size)), np.zeros(x.size)
     size = 4 + n
     a, b = 2 * (stages_ + 1), 2 * (stages_ + 1) + stages_
     parts, pulls = np.zeros((stages_ + 1, 2, 2)), np.zeros((stages_ + 1, 2))
     arguments = stated, point, jet, value, slack, multiplier, BARRIER
-    program.assemble_nodes(*arguments, parts, pulls)
+    derivatives.assemble_nodes(*arguments, parts, pulls)
     for k in range(stages_ + 1):
         at = np.array([2 * k, 2 * k + 1])
         gradient[at] += pulls[k]
         matrix[np.ix_(at, at)] += np.tril(parts[k]) + np.tril(parts[k], -1).T
     ends, pulls = np.full((stages_, 2, size, size), np.nan), np.full((stages_, 2, size), np.nan)
-    program.assemble_ends(*arguments, moved, bends, ends, pulls)
+    derivatives.assemble_ends(*arguments, moved, bends, ends, pulls)
     for k in range(stages_):
         for e in range(2):
             own = b + (2 * k + e) * (1 + n) + np.arange(1 + n)
@@ -171,7 +173,7 @@ def test_interpolated_coefficients_are_the_cranes(name):
     jet = np.empty((problem.stages + 1, stated.table.shape[2], 3, layout.COEFFICIENTS))
     for share in (0.0003, 0.004, 0.03, 0.2, 0.61, 0.998):
         c = problem.lower + share * (problem.upper - problem.lower)
-        program.jets(stated, c, jet)
+        derivatives.jets(stated, c, jet)
         h = 1e-5
         exact = stage_arrays.coefficients(problem, np.stack([c - h, c, c + h], axis=1))
         scale = np.abs(exact[:, 1]).max(axis=(0, 1)) + 1e-9
@@ -186,12 +188,12 @@ def test_interpolated_coefficients_are_the_cranes(name):
 # The step
 
 
-def standing(stated: program.Program, point: program.Point, slack: program.Limits) -> interior_point.Place:
+def standing(stated: derivatives.Program, point: derivatives.Point, slack: derivatives.Limits) -> interior_point.Place:
     """A place with all that is known there."""
     stages_, n = count(stated)
     place = interior_point.Place(point, np.empty((stages_ + 1, n, 3, layout.COEFFICIENTS)), empty(stated), slack)
-    program.jets(stated, point.state[:, 0], place.jet)
-    program.evaluate(stated, point, place.jet, np.empty((n, 3, program.DERIVATIVES)), place.value)
+    derivatives.jets(stated, point.state[:, 0], place.jet)
+    derivatives.evaluate(stated, point, place.jet, np.empty((n, 3, derivatives.DERIVATIVES)), place.value)
     return place
 
 
@@ -225,7 +227,7 @@ def test_recursion_solves_the_newton_system(name, cost, free):
     wanted = np.linalg.solve(kkt, np.concatenate([-gradient, np.zeros(len(rows))]))[: x.size]
 
     place = standing(stated, point, slack)
-    step, slack_step, turn = program.empty_point(stages_, n), empty(stated), empty(stated)
+    step, slack_step, turn = derivatives.empty_point(stages_, n), empty(stated), empty(stated)
     work = interior_point.empty_work(stages_, n)
     good, slope = interior_point.newton(
         stated, place, place.value, multiplier, BARRIER, shift, work, step, slack_step, turn
@@ -251,7 +253,7 @@ def test_a_direction_that_is_not_downhill_is_told():
     slack, multiplier = multipliers(stated)
     slack.every[:], multiplier.every[:] = 1.0, 1e-9  # nothing holds flow and pressure: their product is a saddle
     place, work = standing(stated, point, slack), interior_point.empty_work(stages_, n)
-    out = program.empty_point(stages_, n), empty(stated), empty(stated)
+    out = derivatives.empty_point(stages_, n), empty(stated), empty(stated)
     assert not interior_point.newton(stated, place, place.value, multiplier, BARRIER, 0.0, work, *out)[0]
     assert interior_point.newton(stated, place, place.value, multiplier, BARRIER, 1e3, work, *out)[0]
 
@@ -259,14 +261,14 @@ def test_a_direction_that_is_not_downhill_is_told():
 # The answer
 
 
-def by_ipopt(polisher: polish.Polisher, start: motion.Motion, switches: polish.Modes) -> float:
+def by_ipopt(polisher: modes.Polisher, start: motion.Motion, switches: modes.Modes) -> float:
     """Least cost of the same modes by IPOPT: the program stated once more, on symbols, from the crane's formulas."""
     import casadi as ca
 
     ca.GlobalOptions.setNumpyMode(1)
     problem, cost = polisher.problem, polisher.cost
-    mode = polish._mode_parameters(polisher, switches)
-    stated = polish._program(polisher, start, switches, mode, False, (1.0, 1.0))
+    mode = modes._mode_parameters(polisher, switches)
+    stated = modes._program(polisher, start, switches, mode, False, (1.0, 1.0))
     machine, n, count_ = problem.crane.machine, stated.table.shape[2], problem.stages
     u = ca.SX.sym("u", count_)
     s, p = ca.SX.sym("s", n, 2 * count_), ca.SX.sym("p", 2 * count_)
@@ -293,26 +295,26 @@ def by_ipopt(polisher: polish.Polisher, start: motion.Motion, switches: polish.M
                 hold(velocity[i], stated.low[k, 1 + i], stated.high[k, 1 + i])
     hold(states[-1][1], 0.0, 0.0)
     for k in range(count_):
-        hold(u[k], -stated.cylinder[program.HARDEST, -1], stated.cylinder[program.HARDEST, -1])
+        hold(u[k], -stated.cylinder[derivatives.HARDEST, -1], stated.cylinder[derivatives.HARDEST, -1])
         for e in range(2):
             moving = cranes.move(poses[k + e], states[k + e][1], u[k])
             flow, column = stated.flow[k + e], 2 * k + e
             for i in range(n):
                 v, a = moving.velocity[problem.moving][i], moving.acceleration[problem.moving][i]
                 sign, alpha, beta, gamma = mode[e, k, :, i]
-                friction = sign * poses[k + e].coulomb[problem.moving][i] + stated.cylinder[program.VISCOUS, i] * v
+                friction = sign * poses[k + e].coulomb[problem.moving][i] + stated.cylinder[derivatives.VISCOUS, i] * v
                 force = moving.load[problem.moving][i] + friction
                 if i < n - 1:
-                    hold(a, -stated.cylinder[program.HARDEST, i], stated.cylinder[program.HARDEST, i])
+                    hold(a, -stated.cylinder[derivatives.HARDEST, i], stated.cylinder[derivatives.HARDEST, i])
                 if cost == "ls" and (alpha or beta):
                     hold(alpha * p[column] - beta * force - gamma, 0.0, np.inf)
-                hold(s[i, column] - stated.cylinder[program.AREA_OUT, i] * v, 0.0, np.inf)
-                hold(s[i, column] + stated.cylinder[program.AREA_IN, i] * v, 0.0, np.inf)
+                hold(s[i, column] - stated.cylinder[derivatives.AREA_OUT, i] * v, 0.0, np.inf)
+                hold(s[i, column] + stated.cylinder[derivatives.AREA_IN, i] * v, 0.0, np.inf)
                 flow = flow + s[i, column]
             hold(p[column], stated.base[k + e], np.inf)
-            pressure = p[column] + stated.pump[program.SUPPLY] if cost == "ls" else stated.pump[program.SUPPLY]
+            pressure = p[column] + stated.pump[derivatives.SUPPLY] if cost == "ls" else stated.pump[derivatives.SUPPLY]
             total += 0.5 * problem.step * pressure * flow / machine.pump.efficiency
-    local = polish._guess(polisher, start, switches, mode).local
+    local = modes._guess(polisher, start, switches, mode).local
     x = ca.vertcat(u, ca.vec(s), p)
     options = {"ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-9}, "print_time": False}
     solver = ca.nlpsol("twin", "ipopt", {"x": x, "f": total + 1e-9 * ca.sumsqr(p), "g": ca.vertcat(*rows)}, options)
@@ -330,12 +332,12 @@ def test_answer_is_ipopts(name, cost):
     polisher = built(name, cost, 0.5)
     problem = polisher.problem
     first = seed(name, cost, 0.5)
-    start, text = polish.solve(polisher, first, polish.modes(polisher, first))  # its modes agree with themselves
+    start, text = modes.solve(polisher, first, modes.modes(polisher, first))  # its modes agree with themselves
     assert start is not None, text
-    switches = polish.modes(polisher, start)
-    mode = polish._mode_parameters(polisher, switches)
-    stated = polish._program(polisher, start, switches, mode, False, (1.0, 1.0))
-    guess = polish._guess(polisher, start, switches, mode)
+    switches = modes.modes(polisher, start)
+    mode = modes._mode_parameters(polisher, switches)
+    stated = modes._program(polisher, start, switches, mode, False, (1.0, 1.0))
+    guess = modes._guess(polisher, start, switches, mode)
     unit = 1e-3 * cost_scale.energy_scale(problem, cost)
     answer, solved, _ = interior_point.minimise(stated, guess, 1e-5 * unit, 1e-10 * unit, 300)
     assert solved
@@ -347,10 +349,10 @@ def test_a_better_answer_from_a_smaller_last_barrier():
     """Cost above the limit of no barrier is in proportion to the last one."""
     polisher = built("vertical", "cp", 0.5)
     start = seed("vertical", "cp", 0.5)
-    switches = polish.modes(polisher, start)
-    mode = polish._mode_parameters(polisher, switches)
-    stated = polish._program(polisher, start, switches, mode, False, (1.0, 1.0))
-    guess = polish._guess(polisher, start, switches, mode)
+    switches = modes.modes(polisher, start)
+    mode = modes._mode_parameters(polisher, switches)
+    stated = modes._program(polisher, start, switches, mode, False, (1.0, 1.0))
+    guess = modes._guess(polisher, start, switches, mode)
     costs = []
     for last in (1e-4, 1e-5, 1e-6, 1e-9):
         answer, solved, _ = interior_point.minimise(stated, guess, 1e-2, last, 300)

@@ -7,8 +7,8 @@ import signal
 
 import pytest
 
-from leanboom import jobs
 from leanboom.errors import InputError
+from leanboom.study import processes
 
 
 def fate(what):
@@ -29,10 +29,10 @@ def fate(what):
 
 def test_values_come_in_order_and_from_other_processes(capfd):
     seen = []
-    outcomes = jobs.each(fate, ["a", "print", "c"], workers=2, done=lambda index, outcome: seen.append(index))
+    outcomes = processes.each(fate, ["a", "print", "c"], workers=2, done=lambda index, outcome: seen.append(index))
     assert [outcome.value[0] for outcome in outcomes] == ["a", "print", "c"]
-    processes = {outcome.value[1] for outcome in outcomes}
-    assert len(processes) == 3 and os.getpid() not in processes
+    numbers = {outcome.value[1] for outcome in outcomes}
+    assert len(numbers) == 3 and os.getpid() not in numbers
     assert sorted(seen) == [0, 1, 2]
     assert capfd.readouterr().out == ""
 
@@ -47,10 +47,10 @@ def test_values_come_in_order_and_from_other_processes(capfd):
     ],
 )
 def test_a_failure_is_a_reason_and_spares_the_others(what, reason, refused):
-    bad, good = jobs.each(fate, [what, "fine"], workers=1)
+    bad, good = processes.each(fate, [what, "fine"], workers=1)
     assert (bad.failed, bad.failure, bad.refused) == (True, reason, refused)
     assert good.value[0] == "fine" and not good.failed
 
 
 def test_nothing_to_do():
-    assert jobs.each(fate, []) == []
+    assert processes.each(fate, []) == []

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 from scipy.integrate import fixed_quad
 
-from leanboom import crane as cranes
-from leanboom import hydraulic_drives, kinematics
 from leanboom.errors import InputError
-from leanboom.files import bundled_tasks, load_machine, load_task
-from leanboom.judge import SAMPLE, evaluate, hydraulic_state, judged_cost
-from leanboom.machine import Joint
-from leanboom.motion import from_velocities
-from leanboom.task import Lines, Task, sample
+from leanboom.evaluation.evaluate import SAMPLE, evaluate, hydraulic_state, judged_cost
+from leanboom.formulas import kinematics
+from leanboom.io.loading import bundled_tasks, load_machine, load_task
+from leanboom.model import crane as cranes
+from leanboom.model import hydraulic_drives
+from leanboom.model.machine import Joint
+from leanboom.model.motion import from_velocities
+from leanboom.model.task import Lines, Task, sample
 
 LOADER, FORWARDER = load_machine("loader"), load_machine("forwarder")
 TASKS = {name: load_task(name) for name in bundled_tasks()}

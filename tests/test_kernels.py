@@ -11,10 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import slow_reference as slow
-from leanboom import crane as cranes
-from leanboom import dp, grids, hydraulics, kernels, layout, passes, stage_arrays, stages
-from leanboom.files import load_task
-from leanboom.objective import COSTS
+from leanboom.components.costs import COSTS
+from leanboom.dynamic_programming import bellman, grids, sweeps, value_function
+from leanboom.formulas import hydraulics
+from leanboom.io.loading import load_task
+from leanboom.model import crane as cranes
+from leanboom.problem import layout, stage_arrays, stages
 from slow_reference import Small
 
 SEED = st.integers(0, 2**32 - 1)
@@ -61,7 +63,7 @@ def problem(seed: int, cost: str, *, stages=3, positions=5, velocities=7, prescr
 
 def swept(small: Small, kind=np.float64) -> np.ndarray:
     values = np.empty((small.stages + 1, *small.terminal.shape), dtype=kind)
-    passes.sweep(*small.arrays, small.terminal, values)
+    sweeps.sweep(*small.arrays, small.terminal, values)
     return values
 
 
@@ -71,10 +73,10 @@ def best(small: Small, k: int, row, outside: float, c: float, w: float, ahead) -
 
 def best_of_one(node, outside, c, w, k, stage, cylinder, setting, ahead) -> tuple[float, float]:
     """Least cost and its control of a row of a single state."""
-    row = kernels.empty_row(1, node.shape[0], ahead.shape[1])
-    layer = kernels.layer(ahead, stage, setting, k + 1)
-    kernels.best_controls(node, outside, c, np.array([w]), k, stage, cylinder, setting, layer, row)
-    return float(row.state[kernels.VALUE, 0]), float(row.state[kernels.CONTROL, 0])
+    row = bellman.empty_row(1, node.shape[0], ahead.shape[1])
+    layer = bellman.layer(ahead, stage, setting, k + 1)
+    bellman.best_controls(node, outside, c, np.array([w]), k, stage, cylinder, setting, layer, row)
+    return float(row.state[bellman.VALUE, 0]), float(row.state[bellman.CONTROL, 0])
 
 
 def nodes(small: Small):
@@ -88,7 +90,7 @@ def nodes(small: Small):
 
 
 def at(small: Small, values, k, c, w) -> float:
-    return kernels.interpolate(kernels.layer(values, small.stage, small.setting, k), c, w)
+    return bellman.interpolate(bellman.layer(values, small.stage, small.setting, k), c, w)
 
 
 @given(seed=SEED)
@@ -194,22 +196,22 @@ def test_settled_states_cost_one_line_over_their_controls(cost):
         small = problem(seed, cost)
         k, (positions, velocities) = 1, small.terminal.shape
         w = small.velocity(k, 0) + small.stage[k, layout.DW] * np.arange(velocities)
-        ahead = kernels.layer(np.zeros_like(small.terminal), small.stage, small.setting, k + 1)
+        ahead = bellman.layer(np.zeros_like(small.terminal), small.stage, small.setting, k + 1)
         code, lowest = COSTS[cost], small.stage[k, layout.FIXED_PRESSURE]
         for p in range(positions):
-            row = kernels.empty_row(velocities, small.cylinder.shape[0], velocities)
+            row = bellman.empty_row(velocities, small.cylinder.shape[0], velocities)
             node, c = small.coefficients[k, p], small.position(k, p)
-            kernels.best_controls(node, 0.0, c, w, k, small.stage, small.cylinder, small.setting, ahead, row)
-            base, slope = row.state[kernels.BASE].copy(), row.state[kernels.SLOPE].copy()
-            kernels.limit_controls(node, 0.0, w, k, small.stage, small.cylinder, small.setting, row)
-            kernels.keep_to_nodes(w, ahead, small.setting[layout.STEP], row)
-            kernels.charge(node, w, k, small.stage, small.cylinder, small.setting, code, row)
+            bellman.best_controls(node, 0.0, c, w, k, small.stage, small.cylinder, small.setting, ahead, row)
+            base, slope = row.state[bellman.BASE].copy(), row.state[bellman.SLOPE].copy()
+            bellman.limit_controls(node, 0.0, w, k, small.stage, small.cylinder, small.setting, row)
+            bellman.keep_to_nodes(w, ahead, small.setting[layout.STEP], row)
+            bellman.charge(node, w, k, small.stage, small.cylinder, small.setting, code, row)
             for j in range(velocities):
-                u = np.linspace(row.state[kernels.LOW, j], row.state[kernels.HIGH, j], 401)
-                asked = np.array([kernels.running_cost(x, j, code, lowest, row.line) for x in u])
-                dear = row.state[kernels.BASE, j] + row.state[kernels.RATE, j] * asked
+                u = np.linspace(row.state[bellman.LOW, j], row.state[bellman.HIGH, j], 401)
+                asked = np.array([bellman.running_cost(x, j, code, lowest, row.line) for x in u])
+                dear = row.state[bellman.BASE, j] + row.state[bellman.RATE, j] * asked
                 bend = np.abs(dear - np.linspace(dear[0], dear[-1], u.size)).max()
-                if row.state[kernels.MIXED, j]:
+                if row.state[bellman.MIXED, j]:
                     mixed += bend > 1e-6 * np.abs(dear).max()
                 else:
                     settled += 1
@@ -302,7 +304,7 @@ def test_sweep_and_rollout_equal_enumeration_on_a_tiny_grid(cost, seed):
     least = min(found.values())
     assert values[0, start_p, start_j] == pytest.approx(least, rel=1e-9)
     position, velocity, control = np.empty(5), np.empty(5), np.empty(4)
-    passes.rollout(*small.arrays, values, np.array([c, w]), 0, position, velocity, control)
+    sweeps.rollout(*small.arrays, values, np.array([c, w]), 0, position, velocity, control)
     taken = np.rint(velocity[1:] / dw)
     np.testing.assert_allclose(velocity[1:], taken * dw, atol=1e-12)
     assert found[tuple(int(j) + 1 for j in taken)] == pytest.approx(least, rel=1e-9)  # some have equals
@@ -335,7 +337,7 @@ def test_rollout_integrates_exactly_and_takes_the_best_control_at_every_state(co
     c = small.position(0, 0) + x * 4 * small.stage[0, layout.DC]
     w = small.velocity(0, 0) + y * 6 * small.stage[0, layout.DW]
     position, velocity, control = np.full(6, np.nan), np.full(6, np.nan), np.full(5, np.nan)
-    total = passes.rollout(*small.arrays, values, np.array([c, w]), 0, position, velocity, control)
+    total = sweeps.rollout(*small.arrays, values, np.array([c, w]), 0, position, velocity, control)
     ts = small.setting[layout.STEP]
     assert (position[0], velocity[0]) == (c, w)
     np.testing.assert_allclose(position[1:], position[:-1] + ts * velocity[:-1] + 0.5 * ts**2 * control, rtol=1e-14)
@@ -351,7 +353,7 @@ def test_rollout_from_a_later_stage_leaves_earlier_entries_alone():
     small = problem(3, "cp", stages=5)
     values = swept(small)
     position, velocity, control = np.full(6, -1.0), np.full(6, -2.0), np.full(5, -3.0)
-    passes.rollout(*small.arrays, values, np.array([0.45, 0.01]), 2, position, velocity, control)
+    sweeps.rollout(*small.arrays, values, np.array([0.45, 0.01]), 2, position, velocity, control)
     assert (position[:2] == -1.0).all() and (velocity[:2] == -2.0).all() and (control[:2] == -3.0).all()
     assert (position[2], velocity[2]) == (0.45, 0.01)
     assert (control[2:] != -3.0).all()
@@ -383,7 +385,7 @@ def test_ties_go_to_the_candidate_tried_first():
 def test_results_do_not_depend_on_the_number_of_threads(cost, workers):
     small = problem(5, cost, stages=12, positions=23, velocities=17)
     shared = np.empty_like(swept(small))
-    dp._sweep_shared(small.arrays, small.terminal, shared, workers)
+    value_function._sweep_shared(small.arrays, small.terminal, shared, workers)
     np.testing.assert_array_equal(swept(small), shared)
 
 
@@ -465,6 +467,6 @@ def test_a_motion_that_runs_away_stays_on_the_grid(bad):
     values = swept(small)
     count = small.stages + 1
     position, velocity, control = np.zeros(count), np.zeros(count), np.zeros(count - 1)
-    passes.rollout(*small.arrays, values, np.array([bad, 0.0]), 0, position, velocity, control)
+    sweeps.rollout(*small.arrays, values, np.array([bad, 0.0]), 0, position, velocity, control)
     assert not np.isfinite(position).any()
     assert not np.isfinite(at(small, values[1], 1, bad, 0.0))

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leanboom import crane as cranes
-from leanboom import kinematics
-from leanboom.files import load_machine
-from leanboom.kinematics import ELBOW_DOWN, ELBOW_MARGIN, ELBOW_UP
-from leanboom.task import Lines, Task
+from leanboom.formulas import kinematics
+from leanboom.formulas.kinematics import ELBOW_DOWN, ELBOW_MARGIN, ELBOW_UP
+from leanboom.io.loading import load_machine
+from leanboom.model import crane as cranes
+from leanboom.model.task import Lines, Task
 
 MACHINES = {name: load_machine(name) for name in ("forwarder", "loader")}
 SHARE = st.floats(0.0, 1.0)

@@ -7,14 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leanboom import dp, feasible_strokes, grids, inspection, limit_checks, resources, stages
-from leanboom.comparison import compare
+from leanboom import resources
+from leanboom.components.paths import Braking, Lines, Moved, Part, Spline, approaches
+from leanboom.dynamic_programming import grids, value_function
 from leanboom.errors import InfeasibleError, InputError
-from leanboom.files import load_task
-from leanboom.judge import SAMPLE, check_measurable, evaluate
-from leanboom.motion import Motion, from_velocities, make
-from leanboom.paths import Braking, Lines, Moved, Part, Spline, approaches
-from leanboom.planner import run
+from leanboom.evaluation import limit_checks
+from leanboom.evaluation.evaluate import SAMPLE, check_measurable, evaluate
+from leanboom.io.loading import load_task
+from leanboom.model.motion import Motion, from_velocities, make
+from leanboom.planning.planner import run
+from leanboom.problem import feasible_strokes, stages
+from leanboom.report import facts
+from leanboom.study.comparison import compare
 
 VERTICAL = load_task("forwarder-vertical")
 HIGH, LOW, ASIDE = (5.5, 0.0, 4.0), (5.5, 0.0, 2.0), (0.0, 5.5, 4.0)
@@ -94,7 +98,7 @@ def test_every_segment_is_looked_at_and_all_samples_are_kept():
 def test_a_path_through_the_slewing_axis_is_refused_by_all(points):
     """Its samples pass it by: no one of them is within a micrometre."""
     task = lines(points, [8.0])
-    for use in (lambda: evaluate(task, still(task)), lambda: run(task), lambda: inspection.path(task)):
+    for use in (lambda: evaluate(task, still(task)), lambda: run(task), lambda: facts.path(task)):
         with pytest.raises(InputError, match=r"passes through the slewing axis at [34]\.\d{3} s"):
             use()
 
@@ -196,25 +200,24 @@ def test_a_motion_with_a_number_that_is_none_is_refused(bad):
 def test_check_says_that_a_jump_is_too_fast_for_the_cylinders():
     task = lines([HIGH, HIGH, LOW, LOW], [3.0, 2e-3, 3.0])
     with pytest.raises(InfeasibleError, match=r"too fast for the cylinders at 3\.00\d s, where the tool moves at 1\.8"):
-        inspection.path(task)
+        facts.path(task)
     quarter = lines([(0.5, 4.0, 2.0), (0.5, 4.0, 2.0), (4.0, 0.5, 2.0), (4.0, 0.5, 2.0)], [3.0, 2e-3, 3.0])
     with pytest.raises(InfeasibleError, match="too fast for the cylinders"):
-        inspection.path(quarter)
-    facts = inspection.path(VERTICAL)
-    assert facts.fastest == pytest.approx(0.95, abs=1e-3)
+        facts.path(quarter)
+    assert facts.path(VERTICAL).fastest == pytest.approx(0.95, abs=1e-3)
 
 
 def test_haste_is_what_the_best_motion_of_the_extension_needs():
     """Against all velocities of the extension on a fine grid, at the poses that are looked at."""
-    from leanboom import crane as cranes
-    from leanboom.task import sample
+    from leanboom.model import crane as cranes
+    from leanboom.model.task import sample
 
     time = np.linspace(0.5, 5.5, 9)
     crane = cranes.build(VERTICAL)
     plane = cranes.plane(VERTICAL.machine, sample(VERTICAL, time))
     ends = feasible_strokes.feasible_strokes(VERTICAL, crane, plane, time)
     low, high = (np.array([each.ravel()[i] for each in ends]) for i in (0, -1))
-    found = inspection.least_haste(crane, plane, low, high)
+    found = facts.least_haste(crane, plane, low, high)
     strokes = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, 33)
     pose = cranes.pose(crane, plane[:, None, None], strokes[:, :, None])
     w = np.linspace(-0.6, 0.6, 2401)
@@ -266,8 +269,8 @@ def test_the_estimated_memory_is_what_measuring_takes():
 def test_a_rollout_without_a_way_on_stays_finite():
     """From a velocity a thousand times the limit the look-ahead runs away; its motion is infeasible and finite."""
     problem = stages.discretise(VERTICAL, 0.1)
-    policy = dp.solve(problem, grids.full_grid(problem, 21, 21), "cp")
-    motion = dp.rollout(policy, 0.7, velocity=1e3)
+    policy = value_function.solve(problem, grids.full_grid(problem, 21, 21), "cp")
+    motion = value_function.rollout(policy, 0.7, velocity=1e3)
     assert isinstance(motion, Motion) and np.isfinite(motion.position).all()
     judged = evaluate(VERTICAL, motion)
     assert not judged.feasible and len(judged.status) < 200

@@ -7,16 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leanboom import limits, motion, starts
-from leanboom.files import load_task
-from leanboom.judge import evaluate
+from leanboom.evaluation import limits
+from leanboom.evaluation.evaluate import evaluate
+from leanboom.io.loading import load_task
+from leanboom.model import motion
+from leanboom.problem import starts
 
 
 @pytest.fixture(scope="module")
 def judged():
     """The forwarder's vertical path from the shortest extension, then held: tilt starts at an end of its stroke."""
     task = load_task("forwarder-vertical")
-    from leanboom import stages
+    from leanboom.problem import stages
 
     start = starts.start_position(stages.discretise(task, 0.05), "smallest")
     return evaluate(task, motion.from_velocities(0.1, start, np.zeros(61), "dp", "ls"))

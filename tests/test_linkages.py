@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leanboom.files import load_machine
-from leanboom.linkage_types import Polynomial, RackAndPinion, Telescope
+from leanboom.components.linkages import Polynomial, RackAndPinion, Telescope
+from leanboom.io.loading import load_machine
 
 MACHINES = {name: load_machine(name) for name in ("forwarder", "loader")}
 # The quintic of eq. (14) fitted to the forwarder's tilt linkage, s5 to s0.

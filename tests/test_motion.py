@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from leanboom.motion import from_positions, from_velocities, make
+from leanboom.model.motion import from_positions, from_velocities, make
 
 STEP = 0.05
 VELOCITIES = arrays(np.float64, st.integers(2, 40), elements=st.floats(-0.4, 0.4))

@@ -11,12 +11,13 @@ from benchmarks.peers import adaptive_mesh, child, node_to_node, roster, via_poi
 from benchmarks.peers.__main__ import run
 from benchmarks.peers.table import Measured, lines
 
-from leanboom import cost_scale, dp, stages, starts
-from leanboom import crane as cranes
+from leanboom.dynamic_programming import value_function
 from leanboom.errors import InfeasibleError
-from leanboom.files import load_task
-from leanboom.judge import evaluate
-from leanboom.task import sample
+from leanboom.evaluation.evaluate import evaluate
+from leanboom.io.loading import load_task
+from leanboom.model import crane as cranes
+from leanboom.model.task import sample
+from leanboom.problem import cost_scale, stages, starts
 
 
 @pytest.fixture(scope="module")
@@ -167,12 +168,12 @@ def test_a_peer_that_takes_too_long_is_stopped():
 
 def test_a_peer_is_measured(monkeypatch):
     """Without loading the kernels, which this peer does not use."""
-    monkeypatch.setattr(dp, "prepare", lambda: None)
+    monkeypatch.setattr(value_function, "prepare", lambda: None)
     monkeypatch.setattr(node_to_node, "NODES", 41)
     row = child.measure("forwarder-vertical", "smallest", "cp", "node-to-node")
     assert row.energy > 0.0 and row.seconds > 0.0 and row.peak_bytes > 2**20 and row.remark
 
 
 def test_a_start_that_peers_do_not_know_is_a_row(monkeypatch):
-    monkeypatch.setattr(dp, "prepare", lambda: None)
+    monkeypatch.setattr(value_function, "prepare", lambda: None)
     assert child.measure("forwarder-vertical", "best", "cp", "node-to-node").remark.startswith("start = best")

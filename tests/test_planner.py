@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from leanboom import planner, search, stages
+from leanboom.components.costs import COSTS
 from leanboom.errors import InfeasibleError, InputError
-from leanboom.files import load_task
-from leanboom.judge import PATH_TOLERANCE, TOLERANCE, Evaluation, evaluate, judged_cost
-from leanboom.objective import COSTS
-from leanboom.task import Lines, Spline, Task
+from leanboom.evaluation.evaluate import PATH_TOLERANCE, TOLERANCE, Evaluation, evaluate, judged_cost
+from leanboom.io.loading import load_task
+from leanboom.methods import dp_refined
+from leanboom.model.task import Lines, Spline, Task
+from leanboom.planning import planner
+from leanboom.problem import stages
 
 TESTS = Path(__file__).parent
 CASES = YAML(typ="safe").load(TESTS / "problems.yaml")
@@ -271,7 +273,7 @@ def test_golden_numbers(machine):
 @pytest.fixture(scope="module")
 def hurried():
     """The vertical path in a third of its time, planned by the pseudo-inverse: it breaks limits."""
-    fast = search.slower(VERTICAL, 0.3)
+    fast = dp_refined.slower(VERTICAL, 0.3)
     return fast, planner.run(fast, method="sns-actuator", check=False)
 
 

@@ -10,21 +10,17 @@ import numpy as np
 import pytest
 
 from command_line import leanboom, words
-from leanboom import (
-    comparison,
-    dp,
-    files,
-    folders,
-    motion,
-    objective,
-    planner,
-    reproduction,
-    runfolder,
-    summaries,
-    terminal,
-)
+from leanboom.cli import terminal
+from leanboom.components import costs
+from leanboom.dynamic_programming import value_function
 from leanboom.errors import InfeasibleError
-from leanboom.judge import evaluate
+from leanboom.evaluation.evaluate import evaluate
+from leanboom.io import folders, loading
+from leanboom.model import motion
+from leanboom.planning import planner, summaries
+from leanboom.report import run_folder
+from leanboom.study import comparison
+from leanboom.study.papers import reproduction
 
 TASKS = (
     "forwarder-half-cycle, forwarder-horizontal, forwarder-vertical, loader-triangle-large, loader-triangle-medium, "
@@ -35,7 +31,7 @@ TASKS = (
 @pytest.fixture(scope="module")
 def planned():
     """A plan that holds the telescope, made without a solver."""
-    task = files.load_task("forwarder-vertical", start=0.6713)
+    task = loading.load_task("forwarder-vertical", start=0.6713)
     judged = evaluate(task, motion.from_velocities(0.1, 0.6713, np.zeros(61), "dp", "ls", solve_s=0.5))
     other = evaluate(task, motion.from_velocities(0.1, 0.516, np.zeros(61), "sns-actuator", "velocity"))
     return planner.Plan(task, "ls", judged.motion, judged, other, 64 << 20)
@@ -113,7 +109,7 @@ def test_plan_writes_a_run_folder(calls, tmp_path):
     result = leanboom("plan", "forwarder-vertical", "--out", str(tmp_path / "run"))
     assert result.exit_code == 0
     assert str(tmp_path / "run" / "report.html") in result.stdout
-    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == sorted(runfolder.FILES)
+    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == sorted(run_folder.FILES)
 
 
 def test_plan_refuses_a_strange_folder_before_it_plans(calls, tmp_path):
@@ -217,7 +213,7 @@ def test_certify_refuses_a_gap_that_is_no_number_of_per_cent(calls, gap):
 def test_unknown_methods_and_costs_list_the_valid_ones(option):
     result = leanboom("plan", "forwarder-vertical", option, "nope")
     assert result.exit_code == 2
-    names = planner.METHODS if option == "--method" else objective.COSTS
+    names = planner.METHODS if option == "--method" else costs.COSTS
     assert all(name in result.stderr for name in names)
 
 
@@ -253,7 +249,7 @@ def test_an_infeasible_plan_is_shown_and_exits_with_1(broken):
 def test_an_infeasible_plan_is_driven_without_a_comparison_and_exits_with_1(broken, tmp_path):
     """It ended with 0, and took "+42015418.2 %" where a jump of the tool had cost the plan nothing."""
     file = tmp_path / "fast.yaml"
-    file.write_text(files.dump_task(broken.task, "forwarder"), encoding="utf-8")
+    file.write_text(loading.dump_task(broken.task, "forwarder"), encoding="utf-8")
     result = leanboom("simulate", str(file), "--out", str(tmp_path / "run"))
     assert result.exit_code == 1, result.stderr
     assert result.stderr.endswith(f"leanboom: {broken.status}\n")
@@ -289,7 +285,7 @@ def test_a_slow_beginning_is_told_on_standard_error(monkeypatch, planned):
 
 
 def test_a_baseline_is_planned_from_end_to_end(monkeypatch, tmp_path):
-    monkeypatch.setattr(dp, "prepare", lambda: None)  # the pseudo-inverse needs no kernel
+    monkeypatch.setattr(value_function, "prepare", lambda: None)  # the pseudo-inverse needs no kernel
     out = tmp_path / "run"
     result = leanboom("plan", "forwarder-vertical", "--method", "sns-actuator", "--out", str(out), "--json")
     assert result.exit_code == 0, result.stderr
@@ -346,7 +342,7 @@ def test_simulate_refuses_bad_input(calls, arguments, message, tmp_path, monkeyp
 
 
 def test_an_incomplete_simulation_is_kept_and_exits_with_1(calls, tmp_path, monkeypatch):
-    from leanboom import integrator
+    from leanboom.simulation import integrator
 
     advance = integrator.Integrator.advance
 

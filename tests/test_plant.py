@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leanboom import controllers, fluid, plant, valves
-from leanboom import crane as cranes
-from leanboom.files import load_machine, load_task
-from leanboom.friction import Friction
-from leanboom.integrator import Integrator
-from leanboom.machine import METERING, Circuit
+from leanboom.components.friction import Friction
+from leanboom.formulas import fluid
+from leanboom.io.loading import load_machine, load_task
+from leanboom.model import crane as cranes
+from leanboom.model.machine import METERING, Circuit
+from leanboom.simulation import controllers, plant, valve_sections
+from leanboom.simulation.integrator import Integrator
 from test_dynamics import MuJoCo, crane
 
 STEP = 0.01
@@ -275,10 +276,10 @@ def test_accelerations_are_those_of_another_simulator(name, payload, rng):
 
 def test_spools_wait_and_lag():
     """Nothing for 0.16 s; and a sine of the bandwidth comes through with 0.707 of its height."""
-    spools = valves.Spools(load_machine("forwarder"), 0.002)
+    spools = valve_sections.Spools(load_machine("forwarder"), 0.002)
     assert spools.delay == 80
     open_machine = replace(load_machine("forwarder"), circuit=Circuit(dead_zone=0.0))
-    spools = valves.Spools(open_machine, 0.0005)
+    spools = valve_sections.Spools(open_machine, 0.0005)
     travel = []
     for k in range(4000):
         shares = spools.move(np.full(4, np.sin(2 * np.pi * 8.0 * 0.0005 * k)))
@@ -298,9 +299,9 @@ def test_what_passes_a_section_keeps_energy(rng):
     """Power from the supply is power into the chambers, to the tank and left in the valve, for every kind of valve."""
     for crane_ in (FORWARDER, LOADER):
         for cylinder in crane_.machine.cylinders:
-            section = valves.section(crane_.machine, cylinder)
+            section = valve_sections.section(crane_.machine, cylinder)
             for _ in range(20):
                 edges = tuple(rng.uniform(0, 1) * side for side in rng.permutation([1.0, 1.0, 0.0, 0.0]))
                 a, b, supply = rng.uniform(-0.2e6, 20e6, 3)
-                flow = valves.flows(section, edges, a, b, supply)
+                flow = valve_sections.flows(section, edges, a, b, supply)
                 assert supply * flow.pump == pytest.approx(a * flow.a + b * flow.b + flow.loss, rel=1e-9, abs=1e-6)

@@ -8,13 +8,18 @@ from functools import cache
 import numpy as np
 import pytest
 
-from leanboom import crane as cranes
-from leanboom import dp, grids, hydraulics, motion, polish, pseudo_inverse, stages, starts
-from leanboom.files import load_task
-from leanboom.judge import evaluate, judged_cost
-from leanboom.pump_types import EfficiencyMap
-from leanboom.shaft import shaft_of
-from leanboom.task import Lines, Task
+from leanboom.components.pump_power import shaft_of
+from leanboom.components.pumps import EfficiencyMap
+from leanboom.dynamic_programming import grids, value_function
+from leanboom.evaluation.evaluate import evaluate, judged_cost
+from leanboom.fixed_mode import modes
+from leanboom.formulas import hydraulics
+from leanboom.io.loading import load_task
+from leanboom.methods import pseudo_inverse
+from leanboom.model import crane as cranes
+from leanboom.model import motion
+from leanboom.model.task import Lines, Task
+from leanboom.problem import stages, starts
 
 TASKS = {
     "vertical": replace(load_task("forwarder-vertical"), start="middle"),
@@ -32,16 +37,16 @@ TASKS["mapped"] = replace(
 
 
 @cache
-def built(name: str, cost: str, step: float) -> polish.Polisher:
-    return polish.build(stages.discretise(TASKS[name], step), cost)
+def built(name: str, cost: str, step: float) -> modes.Polisher:
+    return modes.build(stages.discretise(TASKS[name], step), cost)
 
 
 @cache
 def seed(name: str, cost: str, step: float) -> motion.Motion:
     """A coarse dynamic program's motion."""
     problem = built(name, cost, step).problem
-    policy = dp.solve(problem, grids.full_grid(problem, 51, 25), cost)
-    return dp.rollout(policy, starts.start_position(problem, "middle"))
+    policy = value_function.solve(problem, grids.full_grid(problem, 51, 25), cost)
+    return value_function.rollout(policy, starts.start_position(problem, "middle"))
 
 
 def on_stages(problem: stages.Problem, fine: motion.Motion) -> motion.Motion:
@@ -50,9 +55,9 @@ def on_stages(problem: stages.Problem, fine: motion.Motion) -> motion.Motion:
     return motion.from_velocities(problem.step, float(fine.position[0]), velocity, fine.method, fine.cost)
 
 
-def polished(polisher: polish.Polisher, start: motion.Motion, rounds=1, free=False) -> motion.Motion:
+def polished(polisher: modes.Polisher, start: motion.Motion, rounds=1, free=False) -> motion.Motion:
     for _ in range(rounds):
-        answer, text = polish.solve(polisher, start, polish.modes(polisher, start), free)
+        answer, text = modes.solve(polisher, start, modes.modes(polisher, start), free)
         assert answer is not None, text
         start = answer
     return start
@@ -68,7 +73,7 @@ def test_modes_of_a_motion_made_by_hand():
     velocity = np.zeros(problem.stages + 1)
     velocity[3:20], velocity[30:50] = 0.05, -0.04
     made = motion.from_velocities(problem.step, 0.75, velocity, "hand", "none")
-    found = polish.modes(polisher, made)
+    found = modes.modes(polisher, made)
     np.testing.assert_array_equal(found.sign[:, -1], np.sign(velocity))
     judged = evaluate(problem.task, made)
     at = np.rint(problem.time / (judged.time[1] - judged.time[0])).astype(int)
@@ -86,18 +91,18 @@ def test_modes_of_a_motion_made_by_hand():
 
 def test_nothing_moves_and_nothing_is_loaded_on_a_path_that_rests():
     task = replace(TASKS["vertical"], path=Lines(((5.5, 0.0, 2.5), (5.5, 0.0, 2.5)), (1.0,)))
-    polisher = polish.build(stages.discretise(task, 0.2), "ls")
-    found = polish.modes(polisher, motion.from_velocities(0.2, 0.7, np.zeros(6), "hand", "none"))
+    polisher = modes.build(stages.discretise(task, 0.2), "ls")
+    found = modes.modes(polisher, motion.from_velocities(0.2, 0.7, np.zeros(6), "hand", "none"))
     assert not found.sign.any() and not found.loaded.any()
 
 
 def test_same_modes_need_every_switch_to_agree():
-    found = polish.modes(built("vertical", "ls", 0.1), seed("vertical", "ls", 0.1))
-    other = polish.Modes(found.sign.copy(), found.loaded.copy())
+    found = modes.modes(built("vertical", "ls", 0.1), seed("vertical", "ls", 0.1))
+    other = modes.Modes(found.sign.copy(), found.loaded.copy())
     assert found.same_as(other)
     other.sign[7, 1] += 1
     assert not found.same_as(other) and not other.same_as(found)
-    other = polish.Modes(found.sign.copy(), found.loaded.copy())
+    other = modes.Modes(found.sign.copy(), found.loaded.copy())
     other.loaded[1, 3, 0] ^= True
     assert not found.same_as(other)
 
@@ -112,8 +117,8 @@ def test_answer_keeps_dynamics_limits_and_ends_and_costs_what_the_solver_says(na
     """The judge's 2 ms and the trapezoid between stages differ by what switches inside an interval cost: 4 %."""
     polisher = built(name, cost, 0.1)
     problem, start = polisher.problem, seed(name, cost, 0.1)
-    switches = polish.modes(polisher, start)
-    answer, text = polish.solve(polisher, start, switches)
+    switches = modes.modes(polisher, start)
+    answer, text = modes.solve(polisher, start, switches)
     assert answer is not None, text
     assert text.startswith("solved in ")
     ts = problem.step
@@ -129,7 +134,7 @@ def test_answer_keeps_dynamics_limits_and_ends_and_costs_what_the_solver_says(na
     assert (answer.method, answer.cost) == (start.method, cost)
 
 
-def trapezoids(polisher: polish.Polisher, made: motion.Motion, cost: str) -> float:
+def trapezoids(polisher: modes.Polisher, made: motion.Motion, cost: str) -> float:
     """Pump energy of a motion [J] from the powers at both ends of every interval."""
     problem = polisher.problem
     pump, drives = problem.crane.machine.pump, problem.crane.drives
@@ -158,8 +163,8 @@ def trapezoids(polisher: polish.Polisher, made: motion.Motion, cost: str) -> flo
 def test_an_answer_that_did_not_converge_is_never_returned(monkeypatch):
     polisher = built("vertical", "cp", 0.1)
     start = seed("vertical", "cp", 0.1)
-    monkeypatch.setattr(polish, "ITERATIONS", 2)
-    answer, text = polish.solve(polisher, start, polish.modes(polisher, start))
+    monkeypatch.setattr(modes, "ITERATIONS", 2)
+    answer, text = modes.solve(polisher, start, modes.modes(polisher, start))
     assert answer is None
     assert text == "not solved in 2 iterations"
 
@@ -169,9 +174,9 @@ def test_modes_that_contradict_the_path_have_no_answer():
     polisher = built("vertical", "ls", 1.0)
     start = seed("vertical", "ls", 1.0)
     still = motion.from_velocities(1.0, float(start.position[0]), np.zeros_like(start.velocity), "hand", "none")
-    found = polish.modes(polisher, start)
+    found = modes.modes(polisher, start)
     # Both boom cylinders against the way the path drives them.
-    answer, text = polish.solve(polisher, still, polish.Modes(-np.abs(found.sign), found.loaded))
+    answer, text = modes.solve(polisher, still, modes.Modes(-np.abs(found.sign), found.loaded))
     assert answer is None
     assert text.startswith("not solved in ")
 

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog, lsq_linear
 
-from leanboom import crane as cranes
-from leanboom import pseudo_inverse, stages
 from leanboom.errors import InfeasibleError, InputError
-from leanboom.files import bundled_tasks, load_task
-from leanboom.judge import evaluate
-from leanboom.task import sample
+from leanboom.evaluation.evaluate import evaluate
+from leanboom.io.loading import bundled_tasks, load_task
+from leanboom.methods import pseudo_inverse
+from leanboom.model import crane as cranes
+from leanboom.model.task import sample
+from leanboom.problem import stages
 
 TASKS = bundled_tasks()
 

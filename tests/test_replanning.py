@@ -9,28 +9,32 @@ import numpy as np
 import pytest
 
 import slow_reference as slow
-from leanboom import continuation, dp, grids, layout, motion, replanning, stages, starts
+from leanboom.dynamic_programming import grids, value_function
 from leanboom.errors import InputError
-from leanboom.files import load_task
-from leanboom.judge import TOLERANCE, evaluate
-from leanboom.task import Moved
+from leanboom.evaluation import safe_stop
+from leanboom.evaluation.evaluate import TOLERANCE, evaluate
+from leanboom.io.loading import load_task
+from leanboom.model import motion
+from leanboom.model.task import Moved
+from leanboom.planning import replanning
+from leanboom.problem import layout, stages, starts
 
 STEP = 0.1  # [s]
 TASK = replace(load_task("forwarder-vertical"), start="middle")
 
 
-def solved(cost: str, positions: int = 101, velocities: int = 51) -> dp.Policy:
+def solved(cost: str, positions: int = 101, velocities: int = 51) -> value_function.Policy:
     problem = stages.discretise(TASK, STEP)
-    return dp.solve(problem, grids.full_grid(problem, positions, velocities), cost)
+    return value_function.solve(problem, grids.full_grid(problem, positions, velocities), cost)
 
 
 @pytest.fixture(scope="module")
-def policies() -> dict[str, dp.Policy]:
+def policies() -> dict[str, value_function.Policy]:
     return {cost: solved(cost) for cost in ("ls", "cp")}
 
 
-def planned(policy: dp.Policy) -> motion.Motion:
-    return dp.rollout(policy, starts.start_position(policy.problem, "middle"))
+def planned(policy: value_function.Policy) -> motion.Motion:
+    return value_function.rollout(policy, starts.start_position(policy.problem, "middle"))
 
 
 def state(found, time: float) -> tuple[float, float]:
@@ -128,7 +132,7 @@ def test_a_disturbed_motion_goes_on_feasibly_and_no_worse_than_by_tracking(polic
         c, w = state(found, time)
         rest = policy.replan(time, c + off_c, w + off_w)
         assert rest.status == "solved" and rest.evaluation.feasible
-        left = stages.discretise(continuation.rest(TASK, time), STEP)
+        left = stages.discretise(safe_stop.rest(TASK, time), STEP)
         search = replanning.Search(left, cost, c + off_c, w + off_w)
         tracked = evaluate(left.task, replanning.track(search, found, time))
         if tracked.feasible:
@@ -186,11 +190,11 @@ def test_a_path_out_of_reach_ends_in_the_shortest_stop_on_the_path(policies):
     assert (stop.motion.position[0], stop.motion.velocity[0], stop.motion.velocity[-1]) == (c, w, 0.0)
     np.testing.assert_allclose(judged.velocity[-1], 0.0, atol=1e-9)
     np.testing.assert_allclose(judged.velocity[0], policies_velocity(found, 2.0), atol=1e-9)
-    shorter = [lasts for lasts in continuation.STOPS if lasts < stop.motion.duration - 1e-9]
+    shorter = [lasts for lasts in safe_stop.STOPS if lasts < stop.motion.duration - 1e-9]
     assert shorter, "the shortest stop of all is no test"
     braking = replace(gone, path=replace(stop.task.path, over=shorter[-1]), start="middle")
-    for share in continuation.SOONER:
-        assert not evaluate(braking, continuation._slow_down(c, w, shorter[-1], share)).feasible
+    for share in safe_stop.SOONER:
+        assert not evaluate(braking, safe_stop._slow_down(c, w, shorter[-1], share)).feasible
 
 
 def policies_velocity(found, time: float) -> np.ndarray:

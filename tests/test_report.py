@@ -9,10 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leanboom import charts, files, limits, motion, planner, report
-from leanboom.breakdown import breakdown
-from leanboom.judge import evaluate
-from leanboom.machine import Provenance
+from leanboom.evaluation import limits
+from leanboom.evaluation.energy_breakdown import breakdown
+from leanboom.evaluation.evaluate import evaluate
+from leanboom.io import loading
+from leanboom.model import motion
+from leanboom.model.machine import Provenance
+from leanboom.planning import planner
+from leanboom.report import plan_charts, plan_page
 
 
 def held(task, length, method="dp"):
@@ -35,7 +39,7 @@ def paced(task, factor):
 
 @pytest.fixture(scope="module")
 def task():
-    return files.load_task("forwarder-vertical")
+    return loading.load_task("forwarder-vertical")
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +49,7 @@ def plan(task):
 
 @pytest.fixture(scope="module")
 def page(plan):
-    return report.page(plan, (11, 7))
+    return plan_page.page(plan, (11, 7))
 
 
 def without_bundle(page):
@@ -80,7 +84,7 @@ def test_the_page_needs_no_network(page):
 def test_the_lead_says_how_much_is_saved_however_little(plan, monkeypatch, share, said):
     """A saving of 0.2 % read "0 % less"."""
     monkeypatch.setattr(planner.Plan, "saving", lambda self, pump=None: share)
-    assert said in report.page(plan, (11, 7))
+    assert said in plan_page.page(plan, (11, 7))
 
 
 def test_the_page_is_complete(page):
@@ -118,14 +122,14 @@ def test_text_from_files_is_escaped(plan):
         plan.task.machine, name=evil, description=evil, provenance=(Provenance(evil, evil, "assumed", evil),)
     )
     task = replace(plan.task, name=evil, machine=machine)
-    text = report.page(replace(plan, task=task, motion=replace(plan.motion, method=evil, cost=evil, log=(evil,))))
+    text = plan_page.page(replace(plan, task=task, motion=replace(plan.motion, method=evil, cost=evil, log=(evil,))))
     assert "<img" not in without_bundle(text)
     assert text.count("</script>") == 3
 
 
 def test_data_cannot_end_its_script(plan, monkeypatch):
-    monkeypatch.setattr(charts, "data", lambda plan: {"name": "</script>&"})
-    assert data_of(report.page(plan)) == {"name": "</script>&"}
+    monkeypatch.setattr(plan_charts, "data", lambda plan: {"name": "</script>&"})
+    assert data_of(plan_page.page(plan)) == {"name": "</script>&"}
 
 
 def test_charts_hold_the_judged_values(plan, page):
@@ -144,9 +148,9 @@ def test_charts_hold_the_judged_values(plan, page):
 
 def test_charts_and_animation_stay_small(task):
     long = made(paced(task, 20.0))
-    data = charts.data(long)
-    assert len(data["time"]) <= charts.PLOT_POINTS + 1
-    assert len(data["frames"]["plan"]["joints"]) == charts.FRAMES
+    data = plan_charts.data(long)
+    assert len(data["time"]) <= plan_charts.PLOT_POINTS + 1
+    assert len(data["frames"]["plan"]["joints"]) == plan_charts.FRAMES
 
 
 def test_limit_table_agrees_with_the_judge(plan):
@@ -155,13 +159,13 @@ def test_limit_table_agrees_with_the_judge(plan):
 
 
 def test_a_plan_without_baseline_says_so(task):
-    text = report.page(made(task, other=None))
+    text = plan_page.page(made(task, other=None))
     assert "the pseudo-inverse cannot follow this path" in text
     assert set(data_of(text)["frames"]) == {"plan"}
 
 
 def test_an_infeasible_plan_says_so(task):
-    text = report.page(made(paced(task, 0.2)))
+    text = plan_page.page(made(paced(task, 0.2)))
     assert "No feasible motion" in text and "All limits kept" not in text
     assert "Limit broken: velocity of lift is" in text
 
@@ -170,7 +174,7 @@ def test_a_plan_too_much_for_the_pump_has_no_green_badge(task):
     """It once read `All limits kept`, with the missing flow in a note below."""
     weak = replace(task, machine=replace(task.machine, pump=replace(task.machine.pump, max_flow=5.0 / 6e4)))
     plan = made(weak)
-    text = report.page(plan)
+    text = plan_page.page(plan)
     assert 'class="badge bad">Limits kept, but the pump cannot deliver it<' in text
     assert 'class="badge good"' not in text and "All limits kept" not in text and ">Saving<" not in text
     assert 'class="card void"' in text and 'class="bar void"' in text and 'class="card first"' not in text
@@ -180,23 +184,23 @@ def test_a_plan_too_much_for_the_pump_has_no_green_badge(task):
 def test_a_motion_the_crane_cannot_reach_still_makes_a_page(task):
     plan = made(task, plan=0.1)
     assert not plan.evaluation.followed
-    text = report.page(plan)
+    text = plan_page.page(plan)
     assert "Limit broken: tool off its path" in text and "unknown" in text and '<span class="what">Saving' not in text
     assert None not in data_of(text)["pump"][0]["plan"]
 
 
 def test_a_crane_that_does_not_slew_has_no_top_view():
-    task = files.load_task("loader-triangle-small")
+    task = loading.load_task("loader-triangle-small")
     judged = evaluate(task, motion.from_velocities(0.1, 0.6, np.zeros(301), "dp", "cp"))
-    text = report.page(planner.Plan(task, "cp", judged.motion, judged, None, 0))
+    text = plan_page.page(planner.Plan(task, "cp", judged.motion, judged, None, 0))
     assert 'class="stage one"' in text
     assert all(len(joints) == 4 for joints in data_of(text)["frames"]["plan"]["joints"])
 
 
 def test_the_drawing_opens_where_postures_differ_most(plan):
     """It once opened where the telescopes' lengths differed, and claimed a difference that was not to be seen."""
-    time, apart = charts.postures_apart(plan)
-    data = charts.data(plan)
+    time, apart = plan_charts.postures_apart(plan)
+    data = plan_charts.data(plan)
     assert data["opens_at"] == time
     g = plan.task.machine.geometry
     tips = [
@@ -204,16 +208,16 @@ def test_the_drawing_opens_where_postures_differ_most(plan):
         for e in (plan.evaluation, plan.baseline)
     ]
     assert apart >= np.linalg.norm(tips[0] - tips[1], axis=0).max() - 1e-12
-    assert "differ most" in report.page(plan) and f"{apart:.2f} m" in report.page(plan)
+    assert "differ most" in plan_page.page(plan) and f"{apart:.2f} m" in plan_page.page(plan)
 
 
 def test_postures_that_do_not_differ_are_not_claimed_to(task):
-    text = report.page(made(task, 0.6713, 0.67131))
+    text = plan_page.page(made(task, 0.6713, 0.67131))
     assert "differ most" not in text and "in nearly the same posture" in text
 
 
 def test_side_and_top_view_are_equally_high_and_to_one_scale(plan):
-    crane = charts.data(plan)["crane"]
+    crane = plan_charts.data(plan)["crane"]
     (_, _, low, high), (_, _, right, left) = crane["side"], crane["above"]
     assert high - low == pytest.approx(left - right, abs=2e-3)
     assert low < 0.0
@@ -228,7 +232,7 @@ def test_a_manager_finds_an_hours_energy_fuel_and_where_it_goes(plan, page):
 
 def test_an_end_of_a_stroke_is_told_in_words(task):
     start = 0.40952
-    text = report.page(made(task, start, start))
+    text = plan_page.page(made(task, start, start))
     assert "tilt at its end: retracted" in text and ">at its end: retracted</td>" in text
 
 
@@ -245,4 +249,4 @@ def test_spikes_of_forces_are_friction(plan, page):
         return np.abs(np.diff(evaluate(task, creeping).force[::5, -1])).max()
 
     assert jump(plan.task) > 5.0 * jump(smooth)
-    assert "Coulomb" not in report.page(replace(plan, task=smooth))
+    assert "Coulomb" not in plan_page.page(replace(plan, task=smooth))

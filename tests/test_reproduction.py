@@ -8,10 +8,14 @@ from dataclasses import replace
 import pytest
 from typer.testing import CliRunner
 
-from leanboom import cli, experiments, fingerprint, jobs, printed, reproduction, results
+from leanboom import fingerprint
+from leanboom.cli import app
 from leanboom.errors import InputError
-from leanboom.experiments import COARSE, EXPERIMENTS, Job
-from leanboom.planner import METHODS
+from leanboom.planning.planner import METHODS
+from leanboom.report import papers_page
+from leanboom.study import processes
+from leanboom.study.papers import experiments, printed_values, reproduction
+from leanboom.study.papers.experiments import COARSE, EXPERIMENTS, Job
 
 EMPTY = {"time_s": [0.0, 1.0], "stroke_m": [0.1, 0.2], "supply_ls_pa": [2e6, 2e6]}
 
@@ -34,49 +38,49 @@ def solved(monkeypatch):
     def each(function, arguments, workers, report):
         for index, job in enumerate(arguments):
             done.append(job)
-            report(index, jobs.Outcome(record(job)))
+            report(index, processes.Outcome(record(job)))
 
     monkeypatch.setattr(reproduction.jobs, "each", each)
     return done
 
 
 def leanboom(*arguments):
-    return CliRunner().invoke(cli.app, arguments, env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
+    return CliRunner().invoke(app.app, arguments, env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
 
 
 def test_printed_tables_are_those_of_the_paper():
     """Typed off Tables 2 and 3 a second time."""
-    assert [(row.name, row.value) for row in printed.TABLE2] == [
+    assert [(row.name, row.value) for row in printed_values.TABLE2] == [
         ("DP (CP)", 1.0), ("DIDO (CP)", 1.003), ("DP (LS)", 1.062), ("DP (Act. velocity)", 1.087),
         ("DP (Pos. actuator)", 1.098), ("Act. p-inv. (Unweighted)", 1.127), ("fmincon (CP)", 1.166),
         ("Act. p-inv. (Weighted)", 1.308),
     ]  # fmt: skip
-    assert [(row.name, row.value) for row in printed.TABLE3] == [
+    assert [(row.name, row.value) for row in printed_values.TABLE3] == [
         ("DP (LS)", 1.0), ("DIDO (LS)", 1.087), ("DP (Pos. actuator)", 1.109), ("fmincon (LS)", 1.154),
         ("DP (CP)", 1.201), ("DP (Act. velocity)", 1.247), ("Act. p-inv. (Unweighted)", 1.259),
         ("Act. p-inv. (Weighted)", 1.413),
     ]  # fmt: skip
-    assert [row.full for row in printed.TABLE2] == [1.0, 1.002, 1.06, 1.086, 1.098, 1.124, 1.163, 1.308]
-    assert [row.full for row in printed.TABLE3] == [1.0, 1.012, 1.027, 1.05, 1.083, 1.135, 1.154, 1.293]
-    assert printed.EXCESS == {("horizontal", "ls"): 1.25, ("horizontal", "cp"): 1.3, ("vertical", "ls"): 2.0}
-    assert printed.TILT_ROD["flow"] == {"large": -5.0, "medium": -4.0, "small": -4.0}
+    assert [row.full for row in printed_values.TABLE2] == [1.0, 1.002, 1.06, 1.086, 1.098, 1.124, 1.163, 1.308]
+    assert [row.full for row in printed_values.TABLE3] == [1.0, 1.012, 1.027, 1.05, 1.083, 1.135, 1.154, 1.293]
+    assert printed_values.EXCESS == {("horizontal", "ls"): 1.25, ("horizontal", "cp"): 1.3, ("vertical", "ls"): 2.0}
+    assert printed_values.TILT_ROD["flow"] == {"large": -5.0, "medium": -4.0, "small": -4.0}
 
 
 def test_printed_path_errors_are_those_of_table_4():
     """Sums of its columns, added up off the paper; every solution has its two errors on every path."""
-    assert {path for path, _ in printed.TABLE4} == {"horizontal", "vertical", "half-cycle"}
+    assert {path for path, _ in printed_values.TABLE4} == {"horizontal", "vertical", "half-cycle"}
     for path, sums in {
         "horizontal": (0.685, 0.558), "vertical": (0.714, 0.706), "half-cycle": (2.118, 1.265)
     }.items():  # fmt: skip
-        columns = [errors for (one, _), errors in printed.TABLE4.items() if one == path]
+        columns = [errors for (one, _), errors in printed_values.TABLE4.items() if one == path]
         assert len(columns) == 8
         assert [sum(column) for column in zip(*columns, strict=True)] == pytest.approx(sums)
-    assert set(name for _, name in printed.TABLE4) == {row.name for row in printed.SOLUTIONS}
+    assert set(name for _, name in printed_values.TABLE4) == {row.name for row in printed_values.SOLUTIONS}
 
 
 def test_path_errors_stand_beside_table_4(solved, tmp_path):
     result = reproduction.reproduce(["tracking"], tmp_path)
-    assert len(result.lines) == 2 * len(printed.TABLE4)
+    assert len(result.lines) == 2 * len(printed_values.TABLE4)
     by_row = {line.row: line for line in result.lines}
     line = by_row["half-cycle, LS: DP (CP) [m]"]
     assert (line.printed, line.ours) == (0.346, 0.1) and line.why
@@ -235,11 +239,11 @@ def test_a_module_depends_on_what_it_imports_anywhere(monkeypatch, tmp_path):
 def test_words_of_a_solution_are_no_markup_on_the_page(solved, monkeypatch, tmp_path):
     def each(function, arguments, workers, report):
         for index, job in enumerate(arguments):
-            failed = jobs.Outcome(failure="<img src=x> [a](b) | *c*\n# d `e`", refused=True)
-            report(index, failed if job.method == "shooting" else jobs.Outcome(record(job)))
+            failed = processes.Outcome(failure="<img src=x> [a](b) | *c*\n# d `e`", refused=True)
+            report(index, failed if job.method == "shooting" else processes.Outcome(record(job)))
 
     monkeypatch.setattr(reproduction.jobs, "each", each)
-    page = results.page(reproduction.reproduce(["table2"], tmp_path))
+    page = papers_page.page(reproduction.reproduce(["table2"], tmp_path))
     assert "| &lt;img src=x&gt; \\[a](b) \\| \\*c\\* # d \\`e\\` |" in page
     assert "<img" not in page
 
@@ -252,8 +256,8 @@ def test_a_refusal_is_kept_and_a_crash_is_not(monkeypatch, tmp_path):
             calls.append(job.method)
             refused = job.method == "shooting"
             text = "not converged: Restoration_Failed" if refused else "its process ended unexpectedly"
-            good = jobs.Outcome(record(job))
-            report(index, jobs.Outcome(failure=text, refused=refused) if refused or job.cost == "ls" else good)
+            good = processes.Outcome(record(job))
+            report(index, processes.Outcome(failure=text, refused=refused) if refused or job.cost == "ls" else good)
 
     monkeypatch.setattr(reproduction.jobs, "each", each)
     found = {line.row: line for line in reproduction.reproduce(["table2"], tmp_path).lines}
@@ -283,7 +287,7 @@ def test_all_lines_and_the_page_can_be_made(solved, tmp_path):
     assert len({(row["experiment"], row["row"]) for row in rows}) == len(rows)
     row = next(row for row in rows if row["row"] == "Act. p-inv. (Unweighted)" and row["experiment"] == "table2")
     assert row["ours"] == pytest.approx(1.8) and row["difference"] == pytest.approx(1.8 - 1.127)
-    text = results.page(result)
+    text = papers_page.page(result)
     assert "{{" not in text and all(f"## {experiment.title}" in text for experiment in EXPERIMENTS.values())
     for name in EXPERIMENTS:
         assert json.loads((tmp_path / f"{name}.json").read_text()) == [r for r in rows if r["experiment"] == name]
@@ -293,7 +297,7 @@ def test_the_command_prints_json_and_writes_the_page(solved, tmp_path):
     answer = leanboom("reproduce", "table2", "--json", "--out", str(tmp_path))
     assert answer.exit_code == 0
     assert [row["row"] for row in json.loads(answer.stdout)] == [
-        *(row.name for row in printed.TABLE2), *(f"{row.name} (full model)" for row in printed.TABLE2)
+        *(row.name for row in printed_values.TABLE2), *(f"{row.name} (full model)" for row in printed_values.TABLE2)
     ]  # fmt: skip
     page = (tmp_path / "results.md").read_text()
     assert "| DIDO (CP) | 1.003 |" in page and "Table 3" not in page

@@ -10,21 +10,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leanboom import files, motion, planner, report, runfolder, summaries
 from leanboom.errors import InputError
-from leanboom.judge import evaluate
+from leanboom.evaluation.evaluate import evaluate
+from leanboom.io import loading
+from leanboom.model import motion
+from leanboom.planning import planner, summaries
+from leanboom.report import plan_page, run_folder
 
 
 @pytest.fixture(scope="module")
 def plan():
-    task = files.load_task("forwarder-vertical", start=0.6713)
+    task = loading.load_task("forwarder-vertical", start=0.6713)
     judged = evaluate(task, motion.from_velocities(0.1, 0.6713, np.zeros(61), "dp", "ls", solve_s=0.5))
     return planner.Plan(task, "ls", judged.motion, judged, None, 1 << 20)
 
 
 @pytest.fixture(autouse=True)
 def _small_report(monkeypatch):
-    monkeypatch.setattr(report, "page", lambda plan, grid=None: "<!doctype html>\n")
+    monkeypatch.setattr(plan_page, "page", lambda plan, grid=None: "<!doctype html>\n")
 
 
 def names(folder):
@@ -56,16 +59,16 @@ def test_numbers_that_are_not_finite_are_null():
 
 
 def test_the_folder_holds_five_files(plan, tmp_path):
-    out = runfolder.write(plan, tmp_path / "deep" / "run")
-    assert names(out) == sorted(runfolder.FILES)
+    out = run_folder.write(plan, tmp_path / "deep" / "run")
+    assert names(out) == sorted(run_folder.FILES)
     assert names(out.parent) == ["run"]
     assert json.loads((out / "summary.json").read_text(encoding="utf-8")) == summaries.summary(plan, out)
 
 
 def test_task_and_machine_load_as_they_were(plan, tmp_path):
-    out = runfolder.write(plan, tmp_path / "run")
-    assert files.load_task(out / "task.yaml") == plan.task
-    assert files.load_machine(out / "machine.yaml") == plan.task.machine
+    out = run_folder.write(plan, tmp_path / "run")
+    assert loading.load_task(out / "task.yaml") == plan.task
+    assert loading.load_machine(out / "machine.yaml") == plan.task.machine
 
 
 def test_columns_are_exactly_those_agreed(plan):
@@ -79,11 +82,11 @@ def test_columns_are_exactly_those_agreed(plan):
         "time_s", "x_m", "y_m", "z_m", *joints, "extension_m", "extension_m_s", "extension_m_s2", *cylinders,
         "pump_flow_m3_s", "supply_ls_pa", "supply_cp_pa", "power_ls_w", "power_cp_w", "energy_ls_j", "energy_cp_j",
     ]  # fmt: skip
-    assert list(runfolder.columns(plan.evaluation)) == expected
+    assert list(run_folder.columns(plan.evaluation)) == expected
 
 
 def test_trajectory_holds_every_sample_of_the_judge(plan, tmp_path):
-    out = runfolder.write(plan, tmp_path / "run")
+    out = run_folder.write(plan, tmp_path / "run")
     with (out / "trajectory.csv").open(newline="", encoding="utf-8") as stream:
         rows = list(csv.reader(stream))
     judged = plan.evaluation
@@ -103,24 +106,24 @@ def test_trajectory_holds_every_sample_of_the_judge(plan, tmp_path):
 
 
 def test_an_earlier_run_folder_is_replaced(plan, tmp_path):
-    out = runfolder.write(plan, tmp_path / "run")
+    out = run_folder.write(plan, tmp_path / "run")
     (out / "report.html").write_text("old", encoding="utf-8")
-    runfolder.write(plan, out)
+    run_folder.write(plan, out)
     assert (out / "report.html").read_text(encoding="utf-8") == "<!doctype html>\n"
     assert names(tmp_path) == ["run"]
 
 
 def test_an_empty_folder_is_used(plan, tmp_path):
     (tmp_path / "run").mkdir()
-    runfolder.write(plan, tmp_path / "run")
-    assert names(tmp_path / "run") == sorted(runfolder.FILES)
+    run_folder.write(plan, tmp_path / "run")
+    assert names(tmp_path / "run") == sorted(run_folder.FILES)
 
 
 def test_a_folder_with_anything_else_is_refused(plan, tmp_path):
-    out = runfolder.write(plan, tmp_path / "run")
+    out = run_folder.write(plan, tmp_path / "run")
     (out / "notes.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(InputError, match=r"holds notes\.txt: give a new or empty folder, or an earlier run folder"):
-        runfolder.write(plan, out)
+        run_folder.write(plan, out)
     assert (out / "notes.txt").read_text(encoding="utf-8") == "mine"
 
 
@@ -128,7 +131,7 @@ def test_a_folder_with_anything_else_is_refused(plan, tmp_path):
 def test_a_folder_whose_summary_is_another_is_refused(plan, tmp_path, content):
     (tmp_path / "summary.json").write_text(content, encoding="utf-8")
     with pytest.raises(InputError, match="was not written by leanboom"):
-        runfolder.write(plan, tmp_path)
+        run_folder.write(plan, tmp_path)
     assert names(tmp_path) == ["summary.json"]
 
 
@@ -137,16 +140,16 @@ def test_files_links_and_the_current_folder_are_refused(plan, tmp_path, monkeypa
     (tmp_path / "real").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "real")
     with pytest.raises(InputError, match="is a file"):
-        runfolder.write(plan, tmp_path / "file")
+        run_folder.write(plan, tmp_path / "file")
     with pytest.raises(InputError, match="cannot be written"):
-        runfolder.write(plan, tmp_path / "file" / "run")
+        run_folder.write(plan, tmp_path / "file" / "run")
     with pytest.raises(InputError, match="is a symbolic link"):
-        runfolder.write(plan, tmp_path / "link")
+        run_folder.write(plan, tmp_path / "link")
     with pytest.raises(InputError, match="cannot be written"):
-        runfolder.write(plan, Path("a\0b"))
+        run_folder.write(plan, Path("a\0b"))
     monkeypatch.chdir(tmp_path / "real")
     with pytest.raises(InputError, match="is or holds the current folder"):
-        runfolder.write(plan, Path())
+        run_folder.write(plan, Path())
     assert names(tmp_path) == ["file", "link", "real"]
 
 
@@ -155,7 +158,7 @@ def test_files_links_and_the_current_folder_are_refused(plan, tmp_path, monkeypa
 def test_a_failure_midway_leaves_nothing(plan, tmp_path, monkeypatch, failure, existing):
     out = tmp_path / "run"
     if existing:
-        runfolder.write(plan, out)
+        run_folder.write(plan, out)
         (out / "report.html").write_text("old", encoding="utf-8")
     write = Path.write_bytes
 
@@ -166,14 +169,14 @@ def test_a_failure_midway_leaves_nothing(plan, tmp_path, monkeypatch, failure, e
 
     monkeypatch.setattr(Path, "write_bytes", failing)
     with pytest.raises(InputError if isinstance(failure, OSError) else KeyboardInterrupt):
-        runfolder.write(plan, out)
+        run_folder.write(plan, out)
     assert names(tmp_path) == (["run"] if existing else [])
     if existing:
         assert (out / "report.html").read_text(encoding="utf-8") == "old"
 
 
 def test_a_failed_swap_puts_the_earlier_folder_back(plan, tmp_path, monkeypatch):
-    out = runfolder.write(plan, tmp_path / "run")
+    out = run_folder.write(plan, tmp_path / "run")
     (out / "report.html").write_text("old", encoding="utf-8")
     rename = Path.rename
 
@@ -184,7 +187,7 @@ def test_a_failed_swap_puts_the_earlier_folder_back(plan, tmp_path, monkeypatch)
 
     monkeypatch.setattr(Path, "rename", failing)
     with pytest.raises(InputError, match="Input/output error"):
-        runfolder.write(plan, out)
+        run_folder.write(plan, out)
     assert names(tmp_path) == ["run"]
     assert (out / "report.html").read_text(encoding="utf-8") == "old"
 
@@ -192,7 +195,7 @@ def test_a_failed_swap_puts_the_earlier_folder_back(plan, tmp_path, monkeypatch)
 @pytest.mark.skipif(os.name != "posix", reason="permissions of POSIX systems")
 def test_the_folder_is_as_readable_as_any_other(plan, tmp_path):
     (tmp_path / "plain").mkdir()
-    out = runfolder.write(plan, tmp_path / "run")
+    out = run_folder.write(plan, tmp_path / "run")
     assert out.stat().st_mode == (tmp_path / "plain").stat().st_mode
 
 
@@ -230,45 +233,45 @@ EDITED = {
 @pytest.mark.parametrize(("change", "message"), EDITED.values(), ids=EDITED)
 def test_edited_trajectories_are_refused_with_the_reason(plan, tmp_path, change, message):
     """Some ended in a traceback, others were accepted and refused later: "position of lift is nan"."""
-    run = runfolder.write(plan, tmp_path / "run")
-    assert runfolder.read(run)[1].position == pytest.approx(plan.motion.position[0])
+    run = run_folder.write(plan, tmp_path / "run")
+    assert run_folder.read(run)[1].position == pytest.approx(plan.motion.position[0])
     _rows(run, change)
     with pytest.raises(InputError, match=message) as refusal:
-        runfolder.read(run)
+        run_folder.read(run)
     assert str(refusal.value).startswith(f"{run / 'trajectory.csv'}: ")
 
 
 @pytest.mark.parametrize("content", ["time_s,extension_cylinder_m,extension_cylinder_m_s\n0,0,0\n", "", "a,b\n1,2\n"])
 def test_trajectories_without_samples_are_refused(plan, tmp_path, content):
-    run = runfolder.write(plan, tmp_path / "run")
+    run = run_folder.write(plan, tmp_path / "run")
     (run / "trajectory.csv").write_text(content, encoding="utf-8")
     with pytest.raises(InputError, match=r"trajectory.csv: .* plan again"):
-        runfolder.read(run)
+        run_folder.read(run)
 
 
 def test_huge_trajectories_are_refused_before_they_are_read(plan, tmp_path):
-    run = runfolder.write(plan, tmp_path / "run")
+    run = run_folder.write(plan, tmp_path / "run")
     with (run / "trajectory.csv").open("ab") as stream:
-        stream.truncate(runfolder.MAX_TRAJECTORY + 1)
+        stream.truncate(run_folder.MAX_TRAJECTORY + 1)
     with pytest.raises(InputError, match=r"trajectory.csv: is above 512 MiB"):
-        runfolder.read(run)
+        run_folder.read(run)
 
 
 @pytest.mark.parametrize("content", ["[" * 100_000, '{"a":' * 100_000, "{} " * 600_000, "1" * 5000])
 def test_summaries_that_are_none_are_refused(plan, tmp_path, content):
     """Deep nesting ended in a RecursionError."""
-    run = runfolder.write(plan, tmp_path / "run")
+    run = run_folder.write(plan, tmp_path / "run")
     (run / "summary.json").write_text(content, encoding="utf-8")
     with pytest.raises(InputError, match="is not a run folder"):
-        runfolder.read(run)
+        run_folder.read(run)
     with pytest.raises(InputError, match="was not written by leanboom"):
-        runfolder.check(run)
+        run_folder.check(run)
 
 
 @pytest.mark.parametrize(("key", "value"), [("pump", "gas"), ("pump", ["ls"]), ("method", None), ("cost", 1.0)])
 def test_summaries_with_wrong_words_are_refused(plan, tmp_path, key, value):
-    run = runfolder.write(plan, tmp_path / "run")
+    run = run_folder.write(plan, tmp_path / "run")
     found = json.loads((run / "summary.json").read_text(encoding="utf-8"))
     (run / "summary.json").write_text(json.dumps(found | {key: value}), encoding="utf-8")
     with pytest.raises(InputError, match=rf"summary.json: {key} = .*; must be "):
-        runfolder.read(run)
+        run_folder.read(run)

@@ -8,12 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leanboom import cells, incumbent, motion, planner, report, resources, search, stages, starts
+from leanboom import resources
+from leanboom.certificate import lower_bounds, partition, upper_bound
 from leanboom.errors import InputError
-from leanboom.files import load_task
-from leanboom.judge import judged_cost
-from leanboom.machine import Machine
-from leanboom.task import Lines, Task
+from leanboom.evaluation.evaluate import judged_cost
+from leanboom.io.loading import load_task
+from leanboom.methods import dp_refined
+from leanboom.model import motion
+from leanboom.model.machine import Machine
+from leanboom.model.task import Lines, Task
+from leanboom.planning import planner
+from leanboom.problem import stages, starts
+from leanboom.report import plan_page
 
 CASES = Path(__file__).parent / "cases"
 SAME = 1e-3  # relations between plans hold to this share
@@ -50,7 +56,7 @@ def test_whether_there_is_a_motion_does_not_depend_on_the_pump(pump):
 
 def test_other_costs_lead_to_a_feasible_motion_where_this_one_does_not():
     """A search whose own candidates all fail is led to a motion by its constant-pressure cost."""
-    looking = search.Search(VERTICAL, "ls", (41, 31), 0.1)
+    looking = dp_refined.Search(VERTICAL, "ls", (41, 31), 0.1)
     problem = stages.discretise(VERTICAL, 0.1)
     start = starts.start_position(problem, "middle")
     assert start is not None
@@ -73,26 +79,29 @@ def test_no_motion_is_proven_only_where_there_is_none():
     for task, proven in ((VERTICAL, False), (moved(0.5), True)):
         problem = stages.discretise(task, 0.05)
         for start in (starts.start_position(problem, "middle"), None):
-            assert cells.excludes_motion(problem, start) == proven
+            assert lower_bounds.excludes_motion(problem, start) == proven
 
 
 def test_a_proof_takes_no_more_memory_than_there_is(monkeypatch):
     """Cells of an hour took 40 GiB: larger ones prove as much here, and where none fit nothing is proven."""
     problem = stages.discretise(moved(0.5), 0.05)
-    needs = [cells.memory_of(problem, cells.size(problem, "cp", times=times)) for times in ((1, 1), *cells.COARSE)]
+    needs = [
+        partition.memory_of(problem, partition.size(problem, "cp", times=times))
+        for times in ((1, 1), *partition.COARSE)
+    ]
     taken = []
-    whole = cells.whole
+    whole = partition.whole
 
     def measured(*arguments, **settings):
         found = whole(*arguments, **settings)
         taken.append(8.0 * sum(a.size for a in (*found.active, *found.model)))
         return found
 
-    monkeypatch.setattr(cells, "whole", measured)
+    monkeypatch.setattr(lower_bounds, "whole", measured)
     for free, proven in ((4.0 * needs[0], True), (0.5 * needs[0], True), (0.5 * min(needs), False)):
         taken.clear()
         monkeypatch.setattr(resources, "free_memory", lambda free=free: free)
-        assert cells.excludes_motion(problem, None) == proven
+        assert lower_bounds.excludes_motion(problem, None) == proven
         assert sum(taken) <= free
 
 
@@ -146,14 +155,14 @@ def test_thorough_proves_how_far_from_the_optimum_the_plan_can_be():
     proof = plan.certificate
     assert proof is not None
     problem = stages.discretise(VERTICAL, step)
-    measured = incumbent.measure(problem, stages.on_stages(problem, plan.motion), "cp")
+    measured = upper_bound.measure(problem, stages.on_stages(problem, plan.motion), "cp")
     assert 0.0 < proof.lower_bound_j <= proof.energy_j
     assert not measured.keeps_limits or proof.energy_j <= measured.energy
-    assert f"{proof.lower_bound_j / 1e3:.2f} kJ, {proof.gap_percent:.2f} % below" in report.page(plan)
+    assert f"{proof.lower_bound_j / 1e3:.2f} kJ, {proof.gap_percent:.2f} % below" in plan_page.page(plan)
 
 
 def test_what_a_proof_finds_is_one_more_seed():
-    looking = search.Search(VERTICAL, "cp", (41, 31), 0.1, search.EFFORTS["quick"])
+    looking = dp_refined.Search(VERTICAL, "cp", (41, 31), 0.1, dp_refined.EFFORTS["quick"])
     better = planner.plan(VERTICAL, "cp", grid=(41, 31), step=0.1)
     held = motion.from_velocities(0.1, float(better.position[0]), np.zeros(61), "dp", "cp")
     before = looking.judge(held, "a motion that does not move").energy_cp

@@ -16,20 +16,23 @@ from scipy.interpolate import RegularGridInterpolator
 from typer.testing import CliRunner
 
 import leanboom
-from leanboom import cost_scale, direct, dp1, hydraulics, inspection, layout, stage_arrays, stages
-from leanboom import crane as cranes
-from leanboom.cli import app
+from leanboom.cli.app import app
+from leanboom.components.costs import COSTS
+from leanboom.components.pump_power import ALLOWED, Shaft, at_speed, fit, shaft_of
+from leanboom.components.pumps import EfficiencyMap
 from leanboom.errors import InputError
-from leanboom.files import dump_machine, json_schema, load_machine, load_task
-from leanboom.formula import enable_in_kernels
-from leanboom.judge import evaluate, judged_cost
-from leanboom.machine import Machine
-from leanboom.motion import from_velocities
-from leanboom.objective import COSTS
-from leanboom.planner import run
-from leanboom.pump_types import EfficiencyMap
-from leanboom.shaft import ALLOWED, Shaft, at_speed, fit, shaft_of
-from leanboom.task import Lines, Task, sample
+from leanboom.evaluation.evaluate import evaluate, judged_cost
+from leanboom.formulas import hydraulics
+from leanboom.formulas.formula import enable_in_kernels
+from leanboom.io.loading import dump_machine, json_schema, load_machine, load_task
+from leanboom.methods import dp_velocity, smoothed_nlp
+from leanboom.model import crane as cranes
+from leanboom.model.machine import Machine
+from leanboom.model.motion import from_velocities
+from leanboom.model.task import Lines, Task, sample
+from leanboom.planning.planner import run
+from leanboom.problem import cost_scale, layout, stage_arrays, stages
+from leanboom.report import facts
 
 PUMP = Shaft(0.96, 450.0, 3e-5, 4e8)  # of 81 l/min: idle 0.45 kW, 0.6 kW at 20 MPa, 0.7 kW at full flow
 FLOW, PRESSURE = st.floats(0.0, 1.35e-3), st.floats(0.0, 25e6)
@@ -194,9 +197,9 @@ def test_every_user_of_the_power_counts_the_same():
     moving = cranes.move(pose, judged.velocity[:, -1], judged.acceleration[:, -1])
     slow = np.abs(np.abs(judged.velocity) - SHORT.machine.driven_velocity).min(axis=1) < 1e-4
     for cost, power in (("ls", judged.power_ls), ("cp", judged.power_cp)):
-        counted = dp1.principal_cost(crane, cost, tuple(judged.velocity.T), tuple(judged.force.T))
+        counted = dp_velocity.principal_cost(crane, cost, tuple(judged.velocity.T), tuple(judged.force.T))
         np.testing.assert_allclose(counted, power, rtol=1e-12)
-        smooth = 1e3 * direct.smooth_power(crane, pose, moving, cost, 1e6, 1e-8)
+        smooth = 1e3 * smoothed_nlp.smooth_power(crane, pose, moving, cost, 1e6, 1e-8)
         assert np.abs(smooth - power)[~slow].max() < 1e-3 * power.max()
     areas = [c.piston_area - c.rod_side_area for c in SHORT.machine.cylinders]
     net = judged.velocity @ areas
@@ -228,7 +231,7 @@ def test_a_plan_with_a_map_is_never_worse_than_the_actuator_pseudo_inverse(pump)
 
 # Files
 
-LOADER = (Path(leanboom.__file__).parent / "machines/loader.yaml").read_text()
+LOADER = (Path(leanboom.__file__).parent / "data/machines/loader.yaml").read_text()
 CONSTANT = "efficiency: 1                 # printed: constant, cancels in every comparison\n"
 MAP = """efficiency:
     speed: 1650 rpm                                     # assumed
@@ -415,7 +418,7 @@ def test_check_tells_how_well_a_map_is_met_and_what_is_assumed(tmp_path):
     assert "map taken at 1650 rev/min (20 printed, 7 assumed); its powers are met within" in said
     assert f"within {100 * found.typical:.1f} %, at worst {100 * found.largest:.1f} %; idle loss" in said
     assert "pump.efficiency.total[1][2][0] 0.81 figure 4 ends before" in said
-    assert inspection.efficiency(load_machine("loader")) == "100 %, constant (printed)"
+    assert facts.efficiency(load_machine("loader")) == "100 %, constant (printed)"
 
 
 def test_machines_prints_what_became_of_a_map(tmp_path):
@@ -430,6 +433,6 @@ def test_machines_prints_what_became_of_a_map(tmp_path):
 
 def test_pressures_beyond_the_map_are_doubtful(tmp_path):
     machine = loaded(tmp_path, ("max_pressure: 25 MPa", "max_pressure: 30 MPa"))
-    assert inspection.doubts(machine) == (
+    assert facts.doubts(machine) == (
         "the efficiency map ends at 25.0 MPa, the pump at 30.0 MPa; powers between them are extrapolated",
     )

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import leanboom as lb
-from leanboom import controllers, integrator, plant, simulation
-from leanboom.adaptive import AdaptiveRobust
+from leanboom.components.pumps import EfficiencyMap
 from leanboom.errors import InputError
-from leanboom.machine import METERING
-from leanboom.motion import from_velocities
-from leanboom.pump_types import EfficiencyMap
-from leanboom.simulation import simulate
-from leanboom.task import Lines
+from leanboom.model.machine import METERING
+from leanboom.model.motion import from_velocities
+from leanboom.model.task import Lines
+from leanboom.simulation import closed_loop, controllers, integrator, plant
+from leanboom.simulation.adaptive_robust import AdaptiveRobust
+from leanboom.simulation.closed_loop import simulate
 
 STEP = 0.05
 
@@ -134,7 +134,7 @@ def test_a_run_says_what_it_is(runs):
     run = runs["forwarder", "ls"]
     text = repr(run)
     assert "reach" in text and "complete" in text and "kJ" in text
-    assert run.time[-1] == pytest.approx(FORWARDER.duration + simulation.SETTLE)
+    assert run.time[-1] == pytest.approx(FORWARDER.duration + closed_loop.SETTLE)
     assert run.realtime_factor > 1.0
     assert run.controller == "DeadZoneInverse"
     with pytest.raises(ValueError, match="read-only"):
@@ -307,7 +307,7 @@ def test_unknown_pumps_and_motions_out_of_reach_are_refused():
 
 def test_the_table_is_what_the_valve_does():
     """Base: flow of the open edge over the area, both ways; zero from one end of the dead zone to the other."""
-    from leanboom import crane as cranes
+    from leanboom.model import crane as cranes
 
     tables = controllers.measured_table(cranes.build(FORWARDER))
     velocity, command = tables[0].T
@@ -318,7 +318,7 @@ def test_the_table_is_what_the_valve_does():
 
 
 def test_a_payload_does_not_change_the_table():
-    from leanboom import crane as cranes
+    from leanboom.model import crane as cranes
 
     plain = controllers.measured_table(cranes.build(FORWARDER))
     assert controllers.measured_table(cranes.build(replace(FORWARDER, payload=300.0))) is plain

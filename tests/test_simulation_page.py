@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 
 import leanboom as lb
-from leanboom import planner, report, runfolder, simulation, simulation_page
 from leanboom.errors import InputError
-from leanboom.events import Event
-from leanboom.judge import evaluate
-from leanboom.task import Lines
+from leanboom.evaluation.evaluate import evaluate
+from leanboom.model.task import Lines
+from leanboom.planning import planner
+from leanboom.report import plan_page, run_folder, simulation_page
+from leanboom.simulation import closed_loop
+from leanboom.simulation.events import Event
 from test_simulation import glide
 
 TASK = replace(
@@ -30,7 +32,7 @@ KEYS = [
 
 @pytest.fixture(scope="module")
 def run():
-    return simulation.simulate(TASK, glide(TASK, 0.5, 0.6), "cp")
+    return closed_loop.simulate(TASK, glide(TASK, 0.5, 0.6), "cp")
 
 
 @pytest.fixture(scope="module")
@@ -114,21 +116,21 @@ def test_an_incomplete_run_says_so(run):
 
 
 def test_a_plans_folder_gets_its_simulation_and_gives_way_as_a_whole(run, plan, tmp_path, monkeypatch):
-    monkeypatch.setattr(report, "page", lambda plan, grid=None: "<!doctype html>\n")
-    folder = runfolder.write(plan, tmp_path / "run")
-    kept = {name: (folder / name).read_text(encoding="utf-8") for name in runfolder.FILES}
-    runfolder.add(folder, folder, run)
-    assert sorted(path.name for path in folder.iterdir()) == sorted((*runfolder.FILES, *simulation_page.FILES))
-    assert kept == {name: (folder / name).read_text(encoding="utf-8") for name in runfolder.FILES}
-    other = runfolder.write(plan, tmp_path / "other", simulation=run)
+    monkeypatch.setattr(plan_page, "page", lambda plan, grid=None: "<!doctype html>\n")
+    folder = run_folder.write(plan, tmp_path / "run")
+    kept = {name: (folder / name).read_text(encoding="utf-8") for name in run_folder.FILES}
+    run_folder.add(folder, folder, run)
+    assert sorted(path.name for path in folder.iterdir()) == sorted((*run_folder.FILES, *simulation_page.FILES))
+    assert kept == {name: (folder / name).read_text(encoding="utf-8") for name in run_folder.FILES}
+    other = run_folder.write(plan, tmp_path / "other", simulation=run)
     assert (other / "simulation.html").is_file()
-    runfolder.write(plan, folder)  # a new plan was not simulated yet
-    assert sorted(path.name for path in folder.iterdir()) == sorted(runfolder.FILES)
+    run_folder.write(plan, folder)  # a new plan was not simulated yet
+    assert sorted(path.name for path in folder.iterdir()) == sorted(run_folder.FILES)
 
 
 def test_a_run_folder_reads_as_the_motion_that_was_planned(plan, tmp_path, monkeypatch):
-    monkeypatch.setattr(report, "page", lambda plan, grid=None: "<!doctype html>\n")
-    task, motion, pump = runfolder.read(runfolder.write(plan, tmp_path / "run"))
+    monkeypatch.setattr(plan_page, "page", lambda plan, grid=None: "<!doctype html>\n")
+    task, motion, pump = run_folder.read(run_folder.write(plan, tmp_path / "run"))
     assert pump == "cp" and (motion.method, motion.cost) == ("glide", "none")
     assert task == plan.task
     again = evaluate(task, motion)
@@ -138,9 +140,9 @@ def test_a_run_folder_reads_as_the_motion_that_was_planned(plan, tmp_path, monke
 
 def test_what_is_no_run_folder_is_refused(plan, tmp_path, monkeypatch):
     with pytest.raises(InputError, match="is not a run folder: make one with leanboom plan"):
-        runfolder.read(tmp_path)
-    monkeypatch.setattr(report, "page", lambda plan, grid=None: "<!doctype html>\n")
-    folder = runfolder.write(plan, tmp_path / "run")
+        run_folder.read(tmp_path)
+    monkeypatch.setattr(plan_page, "page", lambda plan, grid=None: "<!doctype html>\n")
+    folder = run_folder.write(plan, tmp_path / "run")
     (folder / "trajectory.csv").write_text("time_s,x_m\n0,1\n1,2\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"trajectory\.csv: line 2 lacks finite numbers in time_s"):
-        runfolder.read(folder)
+        run_folder.read(folder)

@@ -10,13 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from leanboom import crane as cranes
-from leanboom import feasible_strokes, grids, hydraulic_drives, layout, resources, stage_arrays, stages
+from leanboom import resources
+from leanboom.components.costs import COSTS
+from leanboom.dynamic_programming import grids
 from leanboom.errors import InfeasibleError, InputError
-from leanboom.files import bundled_tasks, load_task
-from leanboom.machine import Joint
-from leanboom.objective import COSTS
-from leanboom.task import Lines, Task, sample
+from leanboom.io.loading import bundled_tasks, load_task
+from leanboom.model import crane as cranes
+from leanboom.model import hydraulic_drives
+from leanboom.model.machine import Joint
+from leanboom.model.task import Lines, Task, sample
+from leanboom.problem import feasible_strokes, layout, stage_arrays, stages
 
 TASKS = {name: load_task(name) for name in bundled_tasks()}
 PROBLEMS = {name: stages.discretise(task, 0.25) for name, task in TASKS.items()}

@@ -7,14 +7,17 @@ import re
 import pytest
 from typer.testing import CliRunner
 
-from leanboom import cli, files, inspection, planner, starter
+from leanboom.cli import app
 from leanboom.errors import InputError
-from leanboom.schema import MachineKeys, Section, TaskKeys
-from leanboom.source import STATUSES
+from leanboom.io import loading, starter
+from leanboom.io.schema import MachineKeys, Section, TaskKeys
+from leanboom.io.yaml_source import STATUSES
+from leanboom.planning import planner
+from leanboom.report import facts
 
 
 def leanboom(*arguments):
-    return CliRunner().invoke(cli.app, arguments, env={"COLUMNS": "160", "TERM": "dumb", "NO_COLOR": "1"})
+    return CliRunner().invoke(app.app, arguments, env={"COLUMNS": "160", "TERM": "dumb", "NO_COLOR": "1"})
 
 
 @pytest.mark.parametrize("kind", ["machine", "task"])
@@ -24,9 +27,9 @@ def test_a_new_file_is_right_as_it_is(tmp_path, kind):
     assert result.exit_code == 0, result.stderr
     assert f"leanboom check {path}" in result.stdout
     assert leanboom("new", kind).stdout == path.read_text(encoding="utf-8") == starter.text(kind)
-    checked = inspection.check(str(path))
+    checked = facts.check(str(path))
     assert (checked.error, checked.kind) == (None, kind)
-    assert checked.machine is not None and inspection.doubts(checked.machine) == ()
+    assert checked.machine is not None and facts.doubts(checked.machine) == ()
     assert leanboom("check", str(path)).exit_code == 0
 
 
@@ -35,7 +38,7 @@ def test_the_new_task_is_planned_on_the_new_machine(tmp_path):
     text = starter.text("task")
     assert "\nmachine: loader\n" in text
     (tmp_path / "task.yaml").write_text(text.replace("machine: loader", "machine: crane.yaml"), encoding="utf-8")
-    plan = planner.run(files.load_task(tmp_path / "task.yaml"), grid=(41, 21), step=0.2, baseline=False)
+    plan = planner.run(loading.load_task(tmp_path / "task.yaml"), grid=(41, 21), step=0.2, baseline=False)
     assert plan.evaluation.feasible
     assert plan.task.machine.names == ("base", "lift", "tilt", "extension")
 
@@ -43,7 +46,7 @@ def test_the_new_task_is_planned_on_the_new_machine(tmp_path):
 def test_every_value_of_the_new_machine_says_that_it_is_an_example(tmp_path):
     path = tmp_path / "crane.yaml"
     starter.write("machine", path)
-    machine = files.load_machine(path)
+    machine = loading.load_machine(path)
     assert {(entry.status, entry.note) for entry in machine.provenance} == {("assumed", "example")}
     assert all(status in starter.text("machine").split("geometry:")[0] for status in STATUSES)
 

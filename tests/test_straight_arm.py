@@ -12,15 +12,20 @@ import pytest
 from rich.console import Console
 
 import leanboom as lb
-from leanboom import crane as cranes
-from leanboom import inspection, motion, outcomes, planner, pseudo_inverse, stages, summaries, tables
+from leanboom.cli import machine_tables, result_tables
+from leanboom.components.linkages import Triangle
 from leanboom.errors import InfeasibleError, InputError
-from leanboom.judge import evaluate
-from leanboom.kinematics import ELBOW_DOWN, ELBOW_MARGIN, ELBOW_UP
-from leanboom.linkage_types import Triangle
-from leanboom.machine import Joint
-from leanboom.simulation import simulate
-from leanboom.task import Braking, Lines, Moved, Part, Task
+from leanboom.evaluation.evaluate import evaluate
+from leanboom.formulas.kinematics import ELBOW_DOWN, ELBOW_MARGIN, ELBOW_UP
+from leanboom.methods import pseudo_inverse
+from leanboom.model import crane as cranes
+from leanboom.model import motion
+from leanboom.model.machine import Joint
+from leanboom.model.task import Braking, Lines, Moved, Part, Task
+from leanboom.planning import planner, summaries
+from leanboom.problem import stages
+from leanboom.report import facts
+from leanboom.simulation.closed_loop import simulate
 
 LOADER, FORWARDER = lb.load_machine("loader"), lb.load_machine("forwarder")
 GRID = (9, 7)  # coarse: what is asked is whether anything breaks
@@ -138,7 +143,7 @@ def test_energies_of_a_motion_that_cannot_be_made_are_left_out():
     with pytest.raises(InputError, match="leaves the crane's reach"):
         simulate(OUTWARDS, judged.motion)
     out = io.StringIO()
-    outcomes.plan(Console(file=out, width=100), plan, None, "ray")
+    result_tables.plan(Console(file=out, width=100), plan, None, "ray")
     pumps = [line.split()[-3:] for line in out.getvalue().splitlines() if "pump  " in line or "(chosen)" in line]
     assert pumps == [["-", "-", "-"]] * 2
     assert "inf" not in out.getvalue().split() and "nan" not in out.getvalue().split()
@@ -146,14 +151,14 @@ def test_energies_of_a_motion_that_cannot_be_made_are_left_out():
 
 def test_a_path_says_when_a_straight_arm_limits_the_extension():
     """All along this one, as it moves straight outwards; never where the arm is bent anyway; `check` tells."""
-    facts = inspection.path(OUTWARDS)
-    assert facts.straight == (0.0, OUTWARDS.duration)
-    (note,) = facts.notes
+    found = facts.path(OUTWARDS)
+    assert found.straight == (0.0, OUTWARDS.duration)
+    (note,) = found.notes
     assert note.startswith("at times from 0.00 s to 8.00 s a straight arm limits the extension: plans stay 3 deg")
-    assert inspection.path(ray(knuckle(), 0.5, 2.0, 2.4)).notes == ()
-    found = inspection.Checked("ray", "task", OUTWARDS, facts, None)
+    assert facts.path(ray(knuckle(), 0.5, 2.0, 2.4)).notes == ()
+    found = facts.Checked("ray", "task", OUTWARDS, facts, None)
     out = io.StringIO()
-    tables.checked(Console(file=out, width=200), found, known=False)
+    machine_tables.checked(Console(file=out, width=200), found, known=False)
     assert f"Note              {note}" in out.getvalue()
     assert note in found.json()["notes"]
 
@@ -163,9 +168,9 @@ def test_a_motion_says_where_it_is_as_straight_as_plans_go():
     task = ray(knuckle(), 0.5, STRAIGHT, STRAIGHT - 0.4)
     judged = evaluate(task, motion.from_velocities(0.1, start, np.zeros(81), "rest", "ls"))
     assert judged.feasible and judged.bend[0] == pytest.approx(ELBOW_MARGIN, abs=1e-6)
-    assert inspection.straight(judged) == ("straight to within 3.0 deg at 0.000 s, as near as plans go",)
+    assert facts.straight(judged) == ("straight to within 3.0 deg at 0.000 s, as near as plans go",)
     bent = ray(knuckle(), 0.5, STRAIGHT - 0.2, STRAIGHT - 0.4)
-    assert inspection.straight(evaluate(bent, judged.motion)) == ()
+    assert facts.straight(evaluate(bent, judged.motion)) == ()
 
 
 # The two sides of the straight pose
@@ -178,7 +183,7 @@ def test_a_path_reached_on_the_other_side_alone_is_planned_there():
     assert cranes.sides(UPRIGHT.machine) == (ELBOW_UP, ELBOW_DOWN)
     assert cranes.build(UPRIGHT).side == ELBOW_DOWN
     judged = planner.run(UPRIGHT, grid=GRID, step=0.25).evaluation
-    assert "the outer boom is folded up" in inspection.path(UPRIGHT).notes[0]
+    assert "the outer boom is folded up" in facts.path(UPRIGHT).notes[0]
     assert judged.feasible and np.all(bends(judged) > ELBOW_MARGIN - 0.01)
     assert np.all(judged.joint_position[:, 0] < UPRIGHT.machine.joints[0].upper)
 

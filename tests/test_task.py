@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from leanboom.errors import InputError
-from leanboom.files import bundled_tasks, load_task
-from leanboom.task import Braking, Lines, Moved, Part, Spline, Task, sample, written
+from leanboom.io.loading import bundled_tasks, load_task
+from leanboom.model.task import Braking, Lines, Moved, Part, Spline, Task, sample, written
 
 TASKS = {name: load_task(name) for name in bundled_tasks()}
 SHARE = st.floats(0.0, 1.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from leanboom.tracking import path_accuracy
+from leanboom.simulation.path_accuracy import path_accuracy
 
 TIME = np.linspace(0.0, 10.0, 5001)
 

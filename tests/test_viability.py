@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import slow_bounds
-from leanboom import cells, layout, load_task, stages, viability
-from leanboom.task import Lines
+from leanboom import load_task
+from leanboom.certificate import partition, viability
+from leanboom.model.task import Lines
+from leanboom.problem import layout, stages
 
 STEP, PUSH, LENGTH = 0.1, 0.5, 0.2  # of the sled [s], [m/s^2], [m]
 
@@ -73,7 +75,7 @@ def test_no_random_motion_is_lost(rng):
     task = load_task("loader-triangle-small")
     path = Lines(((2.2, 0.0, 1.2), (2.3, 0.0, 1.25)), (1.5,))
     problem = stages.discretise(replace(task, path=path), 0.1)
-    viable = cells.whole(problem, "cp").viable
+    viable = partition.whole(problem, "cp").viable
     length = problem.upper - problem.lower
     seen, tightest = 0, np.inf
     for start in problem.lower[0] + length[0] * np.array([0.0, 0.02, 0.5, 0.98, 1.0]):

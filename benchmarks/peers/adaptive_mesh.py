@@ -1,9 +1,9 @@
-r"""maptor's adaptive pseudospectral mesh on the smoothed low-dimensional problem of `leanboom.collocation`.
+r"""maptor's adaptive pseudospectral mesh on the smoothed low-dimensional problem of `leanboom.methods.pseudospectral`.
 
 States c, w and control u of the redundant cylinder, c' = w, w' = u, least integral of the smoothed power plus
 a damping of u^2, rows for the other cylinders' velocities and accelerations and for the joints' ranges. The crane is
-`leanboom.crane` on CasADi symbols, made one function of (t, c, w, u). maptor knows time as a symbol, so the path has to
-be one formula of it: every polynomial piece of the path is a phase, linked to the next.
+`leanboom.model.crane` on CasADi symbols, made one function of (t, c, w, u). maptor knows time as a symbol, so the path
+has to be one formula of it: every polynomial piece of the path is a phase, linked to the next.
 maptor solves, estimates each interval's error by integrating the dynamics with the control found, then raises
 polynomial degrees or splits intervals until the error is below `ACCURACY`.
 """
@@ -17,13 +17,16 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import BarycentricInterpolator, CubicSpline
 
-from leanboom import collocation, direct, feasible_strokes, kinematics, motion, pseudo_inverse, stages
-from leanboom import crane as cranes
-from leanboom.direct import Level
 from leanboom.errors import LeanboomError
-from leanboom.motion import Motion
-from leanboom.stages import Problem
-from leanboom.task import Lines, Task
+from leanboom.formulas import kinematics
+from leanboom.methods import pseudo_inverse, pseudospectral, smoothed_nlp
+from leanboom.methods.smoothed_nlp import Level
+from leanboom.model import crane as cranes
+from leanboom.model import motion
+from leanboom.model.motion import Motion
+from leanboom.model.task import Lines, Task
+from leanboom.problem import feasible_strokes, stages
+from leanboom.problem.stages import Problem
 
 METHOD = "adaptive-mesh"
 STEP = 0.01  # [s], of the resulting motion
@@ -117,7 +120,7 @@ def solve(problem: Problem, cost: str, start: float, level: Level, seed: Motion,
         integral, before = add_phase(model, number, problem, piece, node, before or start, number == len(parts), seed)
         total = total + integral
     model.minimize(total)
-    options: dict[str, object] = {f"ipopt.{name}": value for name, value in direct.IPOPT.items()}
+    options: dict[str, object] = {f"ipopt.{name}": value for name, value in smoothed_nlp.IPOPT.items()}
     options |= {"ipopt.max_iter": ITERATIONS, "print_time": False}
     solution = maptor.solve_adaptive(
         model, error_tolerance=ACCURACY, max_iterations=meshes, nlp_options=options, show_summary=False
@@ -160,7 +163,7 @@ def add_phase(
     count = max(1, int(round((piece.end - piece.begin) / INTERVAL)))
     edges = np.linspace(-1.0, 1.0, count + 1)
     phase.mesh([DEGREE] * count, edges)
-    tau = collocation.radau(DEGREE)[0]
+    tau = pseudospectral.radau(DEGREE)[0]
     states, controls = [], []
     for low, high in zip(edges[:-1], edges[1:], strict=True):
         share = 0.5 * (low + 0.5 * (high - low) * (tau + 1.0) + 1.0)
@@ -193,7 +196,7 @@ def node_function(problem: Problem, piece: Piece, cost: str, level: Level) -> An
         rows += [v / getattr(a, name) for v, a in zip(values[problem.moving][:-1], cylinders, strict=True)]
     for q, joint in zip(pose.q[:2], machine.joints[-3:-1], strict=True):
         rows.append((q - 0.5 * (joint.lower + joint.upper)) / (0.5 * (joint.upper - joint.lower)))
-    power = direct.smooth_power(crane, pose, state, cost, level.sharpness, level.maximum)
+    power = smoothed_nlp.smooth_power(crane, pose, state, cost, level.sharpness, level.maximum)
     power = power + level.damping * u * u
     return ca.Function("node", [t, c, w, u], [ca.cse(power), ca.cse(ca.vertcat(*rows))])
 
@@ -223,7 +226,7 @@ def as_motion(problem: Problem, solution: Any, phases: int, start: float, cost: 
         values, first = solution[(number, "w")], 0
         for low, high, degree in zip(edges[:-1], edges[1:], degrees, strict=True):
             inside = (problem.time >= low - 1e-9) & (problem.time <= high + 1e-9)
-            nodes = low + 0.5 * (high - low) * (collocation.radau(degree)[0] + 1.0)
+            nodes = low + 0.5 * (high - low) * (pseudospectral.radau(degree)[0] + 1.0)
             polynomial = BarycentricInterpolator(nodes, values[first : first + degree + 1])
             velocity[inside] = polynomial(problem.time[inside])
             first += degree + 1  # neighbours both hold the point between them

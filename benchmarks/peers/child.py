@@ -17,7 +17,8 @@ from pathlib import Path
 import leanboom as lb
 from benchmarks.peers.roster import PEERS
 from benchmarks.peers.table import Measured
-from leanboom import dp, stages, starts
+from leanboom.dynamic_programming import value_function
+from leanboom.problem import stages, starts
 
 
 def tell(text: str, share: float) -> None:
@@ -29,7 +30,7 @@ def measure(name: str, start: str, pump: str, peer: str) -> Measured:
     task = lb.load_task(name, start=start)
     for package in PEERS[peer].needs:
         importlib.import_module(package)
-    dp.prepare()
+    value_function.prepare()
     first = starts.start_position(stages.discretise(task, 0.05), task.start)
     if first is None:
         return Measured(peer, remark="start = best; peers need smallest, middle or a length")

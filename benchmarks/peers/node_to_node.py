@@ -17,13 +17,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from leanboom import crane as cranes
-from leanboom import dp1, motion, stages
-from leanboom.dynamics import friction
 from leanboom.errors import InfeasibleError
-from leanboom.motion import Motion
-from leanboom.stages import Problem
-from leanboom.task import Task
+from leanboom.formulas.dynamics import friction
+from leanboom.methods import dp_velocity
+from leanboom.model import crane as cranes
+from leanboom.model import motion
+from leanboom.model.motion import Motion
+from leanboom.model.task import Task
+from leanboom.problem import stages
+from leanboom.problem.stages import Problem
 
 METHOD = "node-to-node"
 NODES = 401  # positions of a stage
@@ -64,7 +66,7 @@ def feasible_nodes(problem: Problem, start: float, count: int) -> list[np.ndarra
     for k in range(1, problem.stages + 1):
         grid = np.linspace(problem.lower[k], problem.upper[k], count)
         margin = cranes.position_margin(problem.crane, problem.plane[k], grid)
-        nodes.append(grid[margin >= -dp1.SLACK])
+        nodes.append(grid[margin >= -dp_velocity.SLACK])
     return nodes
 
 
@@ -93,8 +95,8 @@ def edge_power(problem: Problem, cost: str, k: int, here: np.ndarray, there: np.
         still = column(here, gravity / at[1])
         velocity.append(v)
         force.append(still + friction(v, column(here, level), sharpness, cylinder.friction.viscous))
-        possible = possible & (np.abs(v) <= cylinder.velocity_limit * (1.0 + dp1.SLACK))
-    power = dp1.principal_cost(crane, cost, tuple(velocity), tuple(force))
+        possible = possible & (np.abs(v) <= cylinder.velocity_limit * (1.0 + dp_velocity.SLACK))
+    power = dp_velocity.principal_cost(crane, cost, tuple(velocity), tuple(force))
     return np.where(possible, power, np.inf)
 
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 
-from leanboom import planner
-from leanboom.motion import Motion
-from leanboom.task import Task
+from leanboom.model.motion import Motion
+from leanboom.model.task import Task
+from leanboom.planning import planner
 
 Progress = Callable[[str, float], None]
 Solve = Callable[[Task, str, float, Progress], Motion]  # task, pump, start [m], progress
@@ -25,7 +25,7 @@ class Peer:
 
 
 def planned_by(method: str) -> Solve:
-    """A method of `leanboom.planner`."""
+    """A method of `leanboom.planning.planner`."""
 
     def solve(task: Task, pump: str, start: float, tell: Progress) -> Motion:
         return planner.run(task, pump=pump, method=method, baseline=False, check=False, progress=tell).motion

@@ -15,11 +15,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from leanboom import cost_scale, direct, feasible_strokes, motion, pseudo_inverse, stages
-from leanboom.judge import Evaluation, evaluate
-from leanboom.motion import Motion
-from leanboom.stages import Problem
-from leanboom.task import Task
+from leanboom.evaluation.evaluate import Evaluation, evaluate
+from leanboom.methods import pseudo_inverse, smoothed_nlp
+from leanboom.model import motion
+from leanboom.model.motion import Motion
+from leanboom.model.task import Task
+from leanboom.problem import cost_scale, feasible_strokes, stages
+from leanboom.problem.stages import Problem
 
 METHOD = "via-points"
 POINTS = 12
@@ -56,7 +58,7 @@ def plan(task: Task, cost: str, start: float, tell: Progress) -> Motion:
         nonlocal best, count
         count += 1
         judged = evaluate(task, spline_motion(problem, start, shares, cost))
-        if best is None or direct.better(judged, best, cost):
+        if best is None or smoothed_nlp.better(judged, best, cost):
             best = judged
         return priced(problem, judged, cost, scale)
 

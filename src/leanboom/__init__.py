@@ -12,31 +12,37 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from leanboom.certificate import Certificate, certify
-    from leanboom.comparison import Comparison, compare
-    from leanboom.continuation import Continuation
+    from leanboom.certificate.certificate import Certificate, certify
     from leanboom.errors import InfeasibleError, InputError, LeanboomError
-    from leanboom.files import bundled_machines, bundled_tasks, load_machine, load_task
-    from leanboom.horizon import plan_receding
-    from leanboom.judge import Evaluation, evaluate
-    from leanboom.machine import Machine
-    from leanboom.motion import Motion
-    from leanboom.planner import Plan, plan, run
-    from leanboom.replanning import replan
-    from leanboom.simulation import Simulation, simulate
-    from leanboom.task import Task
+    from leanboom.evaluation.evaluate import Evaluation, evaluate
+    from leanboom.evaluation.safe_stop import Continuation
+    from leanboom.io.loading import bundled_machines, bundled_tasks, load_machine, load_task
+    from leanboom.model.machine import Machine
+    from leanboom.model.motion import Motion
+    from leanboom.model.task import Task
+    from leanboom.planning.planner import Plan, plan, run
+    from leanboom.planning.receding_horizon import plan_receding
+    from leanboom.planning.replanning import replan
+    from leanboom.simulation.closed_loop import Simulation, simulate
+    from leanboom.study.comparison import Comparison, compare
 
 __version__ = "0.1.0"
 
 _HOME = {
-    "Certificate": "certificate", "certify": "certificate",
-    "Comparison": "comparison", "compare": "comparison",
-    "Continuation": "continuation",
-    "Evaluation": "judge", "InfeasibleError": "errors", "InputError": "errors", "LeanboomError": "errors",
-    "Machine": "machine", "Motion": "motion", "Plan": "planner", "Simulation": "simulation", "Task": "task",
-    "bundled_machines": "files", "bundled_tasks": "files", "evaluate": "judge", "load_machine": "files",
-    "load_task": "files", "plan": "planner", "plan_receding": "horizon", "replan": "replanning", "run": "planner",
-    "simulate": "simulation",
+    "Certificate": "certificate.certificate", "certify": "certificate.certificate",
+    "Comparison": "study.comparison", "compare": "study.comparison",
+    "Continuation": "evaluation.safe_stop",
+    "Evaluation": "evaluation.evaluate", "evaluate": "evaluation.evaluate",
+    "InfeasibleError": "errors", "InputError": "errors", "LeanboomError": "errors",
+    "Machine": "model.machine",
+    "Motion": "model.motion",
+    "Plan": "planning.planner", "plan": "planning.planner", "run": "planning.planner",
+    "Simulation": "simulation.closed_loop", "simulate": "simulation.closed_loop",
+    "Task": "model.task",
+    "bundled_machines": "io.loading", "bundled_tasks": "io.loading",
+    "load_machine": "io.loading", "load_task": "io.loading",
+    "plan_receding": "planning.receding_horizon",
+    "replan": "planning.replanning",
 }  # fmt: skip
 
 __all__ = [

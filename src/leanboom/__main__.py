@@ -15,7 +15,7 @@ def main() -> None:
     """Run the command line and end the process with its exit code."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else it is ignored, as under nohup
         signal.signal(signal.SIGINT, _leave)
-    from leanboom.cli import main as run
+    from leanboom.cli.app import main as run
 
     sys.exit(run())
 

@@ -1,0 +1,161 @@
+"""Cells of the state space: rows of positions, at every stage cut into cells of velocity.
+
+A `Cells` is a set of boxes in position and velocity at every stage; outside it no motion is of interest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leanboom.certificate import cell_enclosures, position_rows, viability
+from leanboom.certificate.cell_enclosures import L_DW, L_J, L_W, LATTICE
+from leanboom.certificate.viability import Viable
+from leanboom.model.motion import Motion
+from leanboom.problem import layout, stage_arrays
+from leanboom.problem.stages import Problem
+
+VELOCITY = 0.01  # [m/s], largest height of a cell of the first level
+COARSE = ((16, 8), (8, 4), (4, 2))  # how many times wider and higher cells are where time is short
+AT_REST = 1e-6  # [m/s], velocity below which a motion ends at rest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """The cells of every stage; arrays of a stage cover a window of its lattice."""
+
+    problem: Problem
+    cost: str
+    positions: int  # rows between the ends of a stage's feasible extensions, narrower ones apart
+    velocities: np.ndarray  # cells between the limits of the redundant cylinder's velocity, (stages,)
+    lattice: np.ndarray  # (stages + 1, cell_enclosures.LATTICE)
+    active: tuple[np.ndarray, ...]  # energy motions take up to a cell at least [J], inf where not kept: (rows, columns)
+    model: tuple[np.ndarray, ...]  # enclosures of the coefficients, (rows, moving, COEFFICIENTS, 4) a stage
+    rows: tuple[np.ndarray, ...]  # edges of the rows of cells [m], (rows + 1,) a stage and the end
+    edges: tuple[np.ndarray, ...]  # of the cells in velocity [m/s], (rows, columns + 1) a stage and the end
+    columns: tuple[np.ndarray, ...]  # admissible velocities of each row [m/s], (rows, 2) a stage and the end
+    fixed: np.ndarray  # pump flow [m^3/s] and pressure [Pa] of prescribed cylinders, (stages + 1, 2)
+    cylinder: np.ndarray  # (moving, layout.CYLINDER_COLUMNS)
+    setting: np.ndarray  # (layout.SETTINGS,)
+    viable: Viable  # velocities from which motions can go on within the limits
+
+    @property
+    def count(self) -> int:
+        """Number of cells kept."""
+        return sum(int(np.isfinite(a).sum()) for a in self.active)
+
+    def middles(self, k: int) -> np.ndarray:
+        """Velocities in the middle of a stage's cells [m/s], (rows, columns)."""
+        return position_rows.middles(self.edges[k].T).T
+
+    def share(self, k: int, position: np.ndarray) -> np.ndarray:
+        """Positions [m] as shares of a stage's feasible extensions."""
+        lower, upper = self.problem.lower[k], self.problem.upper[k]
+        return (position - lower) / max(upper - lower, position_rows.THIN)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Size:
+    """How finely whole stages are cut."""
+
+    positions: int  # rows between the ends of a stage's feasible extensions, narrower ones apart
+    velocities: np.ndarray  # cells between the limits of the redundant cylinder's velocity, (stages,)
+    rows: list[np.ndarray]  # edges of the rows [m], (rows + 1,) a stage and the end
+    bins: int  # bins of position that viable velocities are looked for in: edges of rows are edges of bins
+
+    @property
+    def count(self) -> int:
+        """Number of cells of all stages."""
+        return sum((edges.size - 1) * int(each) for edges, each in zip(self.rows[:-1], self.velocities, strict=True))
+
+
+def size(problem: Problem, cost: str, beside: Motion | None = None, times: tuple[int, int] = (1, 1)) -> Size:
+    """How all feasible extensions and all velocities of every stage are cut on the first level, or more coarsely.
+
+    Args:
+        problem: The discretised task.
+        cost: "ls" or "cp".
+        beside: A motion near which rows are narrower.
+        times: How many times wider and higher cells are than those of the first level.
+    """
+    wider, higher = times
+    coarse = wider > 1
+    limit = problem.crane.machine.redundant.velocity_limit
+    positions = max(2, int(np.ceil(np.max(problem.upper - problem.lower) / (wider * position_rows.POSITION))))
+    narrower, lower = position_rows.FINER[cost]
+    rows = [position_rows.whole(problem, k, positions, beside, narrower, coarse) for k in range(problem.stages + 1)]
+    velocities = np.full(problem.stages, 2 * int(np.ceil(limit / (higher * VELOCITY))))
+    if beside is not None:
+        velocities[position_rows.from_end(problem, slice(-1), beside.position[:-1]) < position_rows.END] *= lower
+    return Size(positions, velocities, rows, (position_rows.OUTERMOST if coarse else viability.BINS) * positions)
+
+
+def whole(problem: Problem, cost: str, beside: Motion | None = None, times: tuple[int, int] = (1, 1)) -> Cells:
+    """All feasible extensions and all velocities of every stage, cut as `size` says; arguments as there."""
+    cut = size(problem, cost, beside, times)
+    corner = np.zeros(problem.stages, dtype=int)
+    return made_of(problem, cost, cut.positions, cut.velocities, cut.rows, cut.velocities, corner, cut.bins)
+
+
+def made_of(  # noqa: PLR0913
+    problem: Problem, cost: str, positions: int, velocities: np.ndarray, rows: list[np.ndarray], counts: np.ndarray,
+    corner: np.ndarray, viable: Viable | int,
+) -> Cells:  # fmt: skip
+    """Cells of a resolution, all active.
+
+    Args:
+        problem: The discretised task.
+        cost: A name of `costs.COSTS`.
+        positions, velocities: Rows of a whole stage, narrower ones apart, and columns, (stages,).
+        rows: Edges of the rows of every stage's window and of the end [m].
+        counts: Columns of the windows, (stages,).
+        corner: First column of the windows, (stages,).
+        viable: Viable velocities; or the number of bins to look for them in, on windows that are whole stages.
+    """
+    limit = problem.crane.machine.redundant.velocity_limit
+    n = problem.stages
+    lattice = np.zeros((n + 1, LATTICE))
+    lattice[:n, L_W] = -limit
+    lattice[:n, L_DW] = 2.0 * limit / velocities
+    lattice[:n, L_J] = corner
+    cylinder = stage_arrays.cylinder_table(problem)
+    setting = stage_arrays.setting(problem, cost, (0.0, 0.0, 0.0, 0.0))
+    setting[layout.EPSILON] = problem.crane.machine.driven_velocity
+    model = position_rows.enclosures(problem, rows[:n])
+    columns = [np.tile([-limit, limit], (edges.size - 1, 1)) for edges in rows]
+    edges = [np.zeros((stage.shape[0], count + 1)) for stage, count in zip(model, counts, strict=True)]
+    for k, stage in enumerate(model):
+        cell_enclosures.velocity_columns(stage, cylinder, columns[k])
+        cell_enclosures.place_edges(stage, setting, lattice[k], edges[k])
+    edges.append(np.zeros((rows[n].size - 1, 2)))
+    columns[n] = np.zeros((rows[n].size - 1, 2))  # the end: at rest
+    if isinstance(viable, int):
+        viable = viability.find(viable, tuple(rows), model, columns, cylinder, problem.step)
+    cells = Cells(
+        problem, cost, positions, velocities, lattice,
+        tuple(np.zeros((stage.shape[0], count)) for stage, count in zip(model, counts, strict=True)), model,
+        tuple(rows), tuple(edges), tuple(columns), _fixed(problem, cost), cylinder, setting, viable,
+    )  # fmt: skip
+    for k in range(n):
+        share = cells.share(k, rows[k])
+        low, high = viable.within(k, share[:-1], share[1:])
+        columns[k][:, 0], columns[k][:, 1] = np.maximum(columns[k][:, 0], low), np.minimum(columns[k][:, 1], high)
+    return cells
+
+
+def _fixed(problem: Problem, cost: str) -> np.ndarray:
+    """Pump flow [m^3/s] and pressure [Pa] of the prescribed cylinders, (stages + 1, 2)."""
+    flow, pressure, _ = stage_arrays.prescribed(problem, cost)
+    return np.stack([flow, pressure], axis=1)
+
+
+def memory_of(problem: Problem, cut: Size) -> float:
+    """Bytes that bounding whole stages takes."""
+    rows = sum(edges.size - 1 for edges in cut.rows[:-1])
+    return bytes_of(cut.count, rows, len(range(len(problem.crane.machine.cylinders))[problem.moving]))
+
+
+def bytes_of(count: int, rows: int, moving: int) -> float:
+    """Bytes that so many cells in so many rows take, and the enclosures of their coefficients."""
+    return 8.0 * (count * 6 + rows * moving * layout.COEFFICIENTS * 4 * 2)

@@ -1,0 +1,292 @@
+"""Slopes of the cost to go from a policy: where the certificate's own bounds cannot see an end of the stroke coming.
+
+A cell at an end of the feasible extensions is a box: whoever may be anywhere in it may stay in it although moving
+toward the end. Bounds of such cells know nothing of the end, nor do slopes that are differences of them, and
+planes without slope let them be so at every stage before. The values of a dynamic program do know.
+
+Power has kinks and jumps in velocity, so the values themselves make bad slopes where a cell holds one, and the best
+motions ride on kinks. A stage's cost and what follows after it are taken apart (`docs/certificate.md`): what follows
+is smooth, and the slope of the stage's cost over a cell with a kink is chosen such that riding on it is exact. Only
+slopes come from here; whatever they are, the bounds stay proven.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from leanboom.certificate.bellman_bounds import FORM, cell_flow, supply_forms
+from leanboom.certificate.cell_enclosures import (
+    MOTION,
+    ON_LIMIT,
+    V_SIDE,
+    V_T,
+    V_X,
+    cell_accelerations,
+    cell_motion,
+    expand,
+)
+from leanboom.certificate.partition import Cells
+from leanboom.certificate.viability import Viable
+from leanboom.compiling import njit
+from leanboom.dynamic_programming import grids, value_function
+from leanboom.dynamic_programming.bellman import interpolate, layer, within
+from leanboom.dynamic_programming.grids import Grid
+from leanboom.dynamic_programming.value_function import Policy
+from leanboom.model.motion import Motion
+from leanboom.problem.layout import (
+    AREA_IN,
+    AREA_OUT,
+    COEFFICIENTS,
+    CYLINDER_COLUMNS,
+    DC,
+    DW,
+    EFFICIENCY,
+    SETTINGS,
+    STAGE_COLUMNS,
+    STEP,
+)
+from leanboom.problem.stages import Problem
+
+GRID = (801, 201)  # positions and velocities of a policy over everything feasible
+TUBE = (201, 321)  # of a policy around the best known motion
+WIDTH, SPREAD = 0.1, 0.08  # [m], [m/s], half widths of the tube
+BORDER = 0.2  # share of a tube at its sides in which its values are not used: no motion may leave it there
+MARGIN = 3.0  # spacings of a policy's grid around a cell in which no state may be lost, for its slopes to be used
+THIN = 1e-6  # [m/s], least half height of a cell for differences over it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ridge:
+    """What `ridge` finds at a stage of a policy; the same for cells of any size."""
+
+    line: np.ndarray  # [m]
+    least: np.ndarray  # [J]
+    next_w: np.ndarray  # [m/s]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Guide:
+    """Values of policies, and which states are lost: beside those, penalties spoil the values."""
+
+    policies: tuple[Policy, ...]  # ever finer and narrower; the first knows every feasible state
+    viable: Viable
+    ridges: dict[tuple[int, int], Ridge] = field(default_factory=dict, init=False)  # as asked for: policy, stage
+
+    def slopes(self, cells: Cells, k: int) -> np.ndarray:
+        """Slopes for the planes of a stage's cells, from the finest policy that knows a cell.
+
+        Cells near lost states take what follows from the nearest others.
+
+        Args:
+            cells: The cells.
+            k: The stage.
+
+        Returns:
+            Along position [J/m] and velocity [J s/m], (rows, columns, 2).
+        """
+        found = np.zeros((*cells.active[k].shape, 2))
+        if k < cells.problem.stages - 1:
+            left = np.isfinite(cells.active[k])
+            for i in range(len(self.policies) - 1, -1, -1):
+                policy, known = self.policies[i], _known(self.policies[i], cells, k)
+                row, column = self._nearest(policy, cells, k, known)
+                ahead = self._ridge(i, k + 1, cells.setting)
+                follow(
+                    cells.model[k], cells.rows[k], cells.edges[k], cells.cylinder, policy.values[k + 1],
+                    policy.tables.stage, cells.setting, k + 1, ahead.line, ahead.least, ahead.next_w,
+                    np.where(known & left, 0.0, np.inf), row, column, found,
+                )  # fmt: skip
+                left &= ~known
+        charge(
+            cells.model[k], cells.rows[k], cells.edges[k], cells.cylinder, cells.setting, cells.fixed[k],
+            cells.active[k], found,
+        )  # fmt: skip
+        return found
+
+    def _ridge(self, i: int, k: int, setting: np.ndarray) -> Ridge:
+        """The ridge of stage k of a policy."""
+        if (i, k) not in self.ridges:
+            policy = self.policies[i]
+            line = _lines(policy.grid, setting[STEP], k)
+            found = Ridge(line, np.empty(line.size), np.empty(line.size))
+            ridge(policy.values[k], policy.tables.stage, setting, k, line, found.least, found.next_w)
+            self.ridges[i, k] = found
+        return self.ridges[i, k]
+
+    def _nearest(self, policy: Policy, cells: Cells, k: int, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """For every cell the nearest known one that keeps the margin: rows, (rows,), and columns, (rows, columns)."""
+        edges, aside = cells.edges[k], MARGIN * policy.tables.stage[k, DW]
+        apart = MARGIN * policy.tables.stage[k, DC]
+        below, above = cells.share(k, cells.rows[k][:-1] - apart), cells.share(k, cells.rows[k][1:] + apart)
+        low = np.where(below < 0.0, np.inf, self.viable.within(k, below, below)[0]) + aside
+        high = np.where(above > 1.0, -np.inf, self.viable.within(k, above, above)[1]) - aside
+        keeps = known & (edges[:, :-1] >= low[:, None] - 1e-9) & (edges[:, 1:] <= high[:, None] + 1e-9)
+        some = np.nonzero(keeps.any(axis=1))[0]
+        rows, columns = np.arange(keeps.shape[0]), np.arange(keeps.shape[1])
+        if some.size == 0:
+            return rows, np.tile(columns, (rows.size, 1))
+        row = some[np.abs(some[None, :] - rows[:, None]).argmin(axis=1)]
+        first, last = keeps.argmax(axis=1), columns.size - 1 - keeps[:, ::-1].argmax(axis=1)
+        return row, np.clip(columns[None, :], first[row, None], last[row, None])
+
+
+def _known(policy: Policy, cells: Cells, k: int) -> np.ndarray:
+    """Which cells of a stage lie where a policy's values are not spoilt by the sides of its grid, (rows, columns)."""
+    grid, rows, edges = policy.grid, cells.rows[k], cells.edges[k]
+    inset_c, inset_w = BORDER * (grid.c_hi[k] - grid.c_lo[k]), BORDER * (grid.w_hi[k] - grid.w_lo[k])
+    limit = cells.problem.crane.machine.redundant.velocity_limit
+    # Sides that are limits of the motion itself spoil nothing.
+    low_c = -np.inf if grid.c_lo[k] <= cells.problem.lower[k] else grid.c_lo[k] + inset_c
+    high_c = np.inf if grid.c_hi[k] >= cells.problem.upper[k] else grid.c_hi[k] - inset_c
+    low_w = -np.inf if grid.w_lo[k] <= -limit else grid.w_lo[k] + inset_w
+    high_w = np.inf if grid.w_hi[k] >= limit else grid.w_hi[k] - inset_w
+    row = (rows[:-1] >= low_c) & (rows[1:] <= high_c)
+    return row[:, None] & (edges[:, :-1] >= low_w) & (edges[:, 1:] <= high_w)
+
+
+def _lines(grid: Grid, step: float, k: int) -> np.ndarray:
+    """Equally spaced lines c - step w / 2 [m] that meet the nodes of a grid's stage."""
+    low, high = grid.c_lo[k] - 0.5 * step * grid.w_hi[k], grid.c_hi[k] - 0.5 * step * grid.w_lo[k]
+    return np.linspace(low, high, 2 * grid.positions)
+
+
+def make(problem: Problem, cost: str, viable: Viable, beside: Motion) -> Guide:
+    """The guide of a problem: solve it on a grid of everything feasible and on one around a motion."""
+    full = grids.full_grid(problem, *GRID)
+    tube = grids.tube_grid(problem, beside.position, beside.velocity, WIDTH, SPREAD, *TUBE)
+    return Guide((value_function.solve(problem, full, cost), value_function.solve(problem, tube, cost)), viable)
+
+
+def memory(problem: Problem) -> float:
+    """Bytes that making the guide of a problem takes."""
+    return value_function.memory(problem.stages, *GRID) + value_function.memory(problem.stages, *TUBE)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def ridge(values, stage, setting, k, line, least, next_w):
+    """Least values ahead whatever the next velocity: along c' = s + step w' / 2 for every s, where s = c + step w / 2.
+
+    Args:
+        values: Cost to go of stage k, the next one [J], (positions, velocities).
+        stage: The policy's stages, (stages + 1, STAGE_COLUMNS).
+        setting: Scalars, (SETTINGS,), without penalties.
+        k: The next stage.
+        line: Values of s [m], equally spaced, each leading to some node's position, (any number,).
+        least: Out: least value [J].
+        next_w: Out: next velocity there [m/s].
+    """
+    ahead = layer(values, stage, setting, k)
+    end = ahead.c_lo + (values.shape[0] - 1) * ahead.dc
+    for q in range(line.size):
+        least[q], next_w[q] = np.inf, 0.0
+        for j in range(values.shape[1]):
+            w = ahead.w_lo + j * ahead.dw
+            c = line[q] + 0.5 * setting[STEP] * w
+            if ahead.c_lo - ON_LIMIT <= c <= end + ON_LIMIT:
+                value = interpolate(ahead, c, w)
+                if value < least[q]:
+                    least[q], next_w[q] = value, w
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def least_ahead(ahead, step, line, least, next_w, c, w, lo, hi):
+    """Least value ahead of a state whose acceleration is between lo and hi, on the ridge where it is in reach."""
+    s = c + 0.5 * step * w
+    x = within((s - line[0]) / (line[1] - line[0]), line.size - 1.0)
+    q = min(int(x), line.size - 2)
+    share = x - q
+    target = next_w[q] if share < 0.5 else next_w[q + 1]
+    if w + step * lo <= target <= w + step * hi:
+        return (1.0 - share) * least[q] + share * least[q + 1]
+    target = min(max(target, w + step * lo), w + step * hi)
+    return interpolate(ahead, s + 0.5 * step * target, target)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def follow(model, rows, edges, cylinder, values, stage, setting, k, line, least, next_w, active, row, column, slope):
+    """Slopes over a stage's cells of what follows after the stage.
+
+    Args:
+        model, rows, edges, cylinder, active: As in `bellman_bounds.cells`.
+        values, stage, setting, k, line, least, next_w: As in `ridge`.
+        row, column: Cell of the stage where the slopes of a cell are taken, (rows,) and (rows, columns).
+        slope: Out: along position [J/m] and velocity [J s/m], (rows, columns, 2).
+    """
+    coefficients = np.empty((model.shape[1], COEFFICIENTS, 3))
+    step, ahead = setting[STEP], layer(values, stage, setting, k)
+    for p in range(slope.shape[0]):
+        expand(model, row[p], coefficients)
+        c, half_c = 0.5 * (rows[row[p] + 1] + rows[row[p]]), 0.5 * (rows[row[p] + 1] - rows[row[p]])
+        for r in range(slope.shape[1]):
+            if active[p, r] == np.inf:
+                continue
+            slow, fast = edges[row[p], column[p, r]], edges[row[p], column[p, r] + 1]
+            w, half = 0.5 * (fast + slow), max(0.5 * (fast - slow), THIN)
+            lo, hi = cell_accelerations(coefficients, cylinder, w, 0.0)
+            rise = least_ahead(ahead, step, line, least, next_w, c + half_c, w, lo, hi)
+            rise -= least_ahead(ahead, step, line, least, next_w, c - half_c, w, lo, hi)
+            slope[p, r, 0] = 0.5 * rise / half_c
+            rise = least_ahead(ahead, step, line, least, next_w, c, w + half, lo, hi)
+            rise -= least_ahead(ahead, step, line, least, next_w, c, w - half, lo, hi)
+            slope[p, r, 1] = 0.5 * rise / half
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def charge(model, rows, edges, cylinder, setting, fixed, active, slope):
+    """Add the slopes of the stage's own cost over its cells to those of what follows.
+
+    The flow of a cylinder that turns round within the cell has a kink. Of its slopes there the one is taken with
+    which a motion gains nothing by leaving the kink: slope_w + step / 2 slope_c = 0, as far as it has it.
+
+    Args:
+        model, rows, edges, cylinder, setting, fixed, active: As in `bellman_bounds.cells`.
+        slope: Changed in place: along position [J/m] and velocity [J s/m], (rows, columns, 2).
+    """
+    n = model.shape[1]
+    coefficients, motion, sigma = np.empty((n, COEFFICIENTS, 3)), np.zeros((n, MOTION)), np.zeros(n)
+    forms, middle = np.zeros((n + 1, FORM)), np.zeros((2, 3))
+    half_step, rate = 0.5 * setting[STEP], setting[STEP] / setting[EFFICIENCY]
+    for p in range(slope.shape[0]):
+        expand(model, p, coefficients)
+        half_c = 0.5 * (rows[p + 1] - rows[p])
+        for r in range(slope.shape[1]):
+            if active[p, r] == np.inf:
+                continue
+            w, half = 0.5 * (edges[p, r + 1] + edges[p, r]), max(0.5 * (edges[p, r + 1] - edges[p, r]), THIN)
+            lo, hi = cell_motion(coefficients, cylinder, setting, w, half, motion)
+            if not lo <= hi:
+                continue
+            flow, flow_t, flow_x, _, _ = cell_flow(motion, cylinder, half, fixed[0], sigma)
+            u = min(max(0.0, lo), hi)
+            best = 0
+            for q in range(supply_forms(motion, setting, fixed[1], u, u, u, middle, forms)):
+                if forms[q, 0] > forms[best, 0]:
+                    best = q
+            supply, supply_t, supply_x, supply_y = forms[best]
+            # Without what supply owes to accelerating, which the stage before owes as much to arriving.
+            along_c = slope[p, r, 0] + rate * (flow * supply_t + flow_t * supply) / half_c
+            along_w = slope[p, r, 1] + rate * (flow * (supply_x + supply_y) + flow_x * supply)
+            for m in range(n):
+                turn_c, turn_w = rate * supply * motion[m, V_T] / half_c, rate * supply * motion[m, V_X]
+                if motion[m, V_SIDE] == 0.0 and half_step * turn_c + turn_w != 0.0:
+                    share = -(half_step * along_c + along_w) / (half_step * turn_c + turn_w)
+                    share = min(max(share, -cylinder[m, AREA_IN] - sigma[m]), cylinder[m, AREA_OUT] - sigma[m])
+                    along_c += share * turn_c
+                    along_w += share * turn_w
+            slope[p, r, 0], slope[p, r, 1] = along_c, along_w - rate * flow * supply_y
+
+
+def prepare() -> None:
+    """Load the compiled kernels, compiling them on the very first run."""
+    model, one, line, none = np.zeros((1, 1, COEFFICIENTS, 4)), np.zeros((1, 1)), np.arange(2.0), np.zeros((1, 1), int)
+    values, edges, slope = np.zeros((2, 2), dtype=np.float32), np.zeros((1, 2)), np.zeros((1, 1, 2))
+    cylinder, setting, rows = np.ones((1, CYLINDER_COLUMNS)), np.ones(SETTINGS), np.arange(2.0)
+    stage = np.ones((1, STAGE_COLUMNS))
+    ridge(values, stage, setting, 0, line, np.zeros(2), np.zeros(2))
+    follow(
+        model, rows, edges, cylinder, values, stage, setting, 0, line, np.zeros(2), np.zeros(2), one, none[0], none,
+        slope,
+    )  # fmt: skip
+    charge(model, rows, edges, cylinder, setting, np.zeros(2), one, slope)

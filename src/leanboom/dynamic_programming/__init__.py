@@ -1,0 +1,1 @@
+"""Dynamic programming over position and velocity of the redundant cylinder."""

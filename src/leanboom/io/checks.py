@@ -1,0 +1,275 @@
+"""What the values of a file must agree on: linkages that close over their joint's range, strokes, counts, kinds.
+
+Every check looks at the sections that are right in themselves, so that one bad value does not hide another.
+"""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Any, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+from pydantic_core import PydanticCustomError
+
+from leanboom.components.linkages import FourBar, Linkage, Polynomial, RackAndPinion, Telescope, Triangle
+from leanboom.components.paths import miscounted
+from leanboom.components.pumps import EfficiencyMap
+from leanboom.io.fields import Quantity, Rule, Start
+from leanboom.io.schema import (
+    AngleRange,
+    BodyKeys,
+    CylinderKeys,
+    EfficiencyKeys,
+    FourBarKeys,
+    LengthRange,
+    LinesKeys,
+    PolynomialKeys,
+    PumpKeys,
+    RackAndPinionKeys,
+    Section,
+    SplineKeys,
+    TelescopeKeys,
+)
+from leanboom.io.yaml_source import Data, Key, Source
+from leanboom.model.machine import Machine
+from leanboom.model.task import Lines, Spline, faults
+from leanboom.quantities.ranges import CUTOFF
+from leanboom.quantities.units import is_bare
+
+S = TypeVar("S", bound=Section)
+
+JOINTS = ("base", "lift", "tilt", "extension")
+_SAMPLES = 2001  # of a joint's range
+_SMALLEST_ARM = 1e-4  # [m]
+SIZE_KEYS = ("bore", "rod", "plunger", "racks", "piston_area", "rod_side_area")
+SIZES = "must be given as bore and rod, as plunger (and racks), or as piston_area and rod_side_area"
+
+
+def areas(keys: CylinderKeys) -> tuple[float, float] | None:
+    """Piston-side and rod-side area [m^2]; None if the size is not given in one of the three ways."""
+    bore, rod, plunger, piston, rod_side = keys.bore, keys.rod, keys.plunger, keys.piston_area, keys.rod_side_area
+    given = {name for name in SIZE_KEYS if getattr(keys, name) is not None}
+    if bore is not None and rod is not None and given == {"bore", "rod"}:
+        return pi / 4 * bore**2, pi / 4 * (bore**2 - rod**2)
+    if plunger is not None and given <= {"plunger", "racks"}:
+        area = pi / 4 * plunger**2 * (keys.racks or 1)
+        return area, area
+    if piston is not None and rod_side is not None and given == {"piston_area", "rod_side_area"}:
+        return piston, rod_side
+    return None
+
+
+def linkage(keys: Section) -> Linkage:
+    """The linkage of a cylinder."""
+    values = keys.model_dump(exclude={"type"})
+    kinds = {
+        RackAndPinionKeys: RackAndPinion,
+        FourBarKeys: FourBar,
+        PolynomialKeys: Polynomial,
+        TelescopeKeys: Telescope,
+    }
+    return kinds.get(type(keys), Triangle)(**values)
+
+
+def stroke(shape: Linkage, lower: float, upper: float) -> float:
+    """The change of a cylinder's length [m] over its joint's range, from end to end [rad or m]."""
+    return abs(float(shape.length_arm_slope(upper)[0]) - float(shape.length_arm_slope(lower)[0]))
+
+
+def efficiency(keys: PumpKeys) -> float | EfficiencyMap:
+    """The efficiency of a pump."""
+    given = keys.efficiency
+    return EfficiencyMap(**given.model_dump()) if isinstance(given, EfficiencyKeys) else given
+
+
+def check_machine(source: Source) -> None:
+    """Note what does not fit together in a machine file."""
+    data = source.data
+    if not isinstance(data, dict):
+        return
+    _check_slewing(source, data)
+    joints, cylinders = _mapping(data, "joints"), _mapping(data, "cylinders")
+    for name in JOINTS:
+        keys = _part(CylinderKeys, cylinders.get(name))
+        if keys is None:
+            continue
+        key = ("cylinders", name)
+        sized = _check_size(source, key, keys)
+        if sized and keys.friction.steps is not None and name != "extension":
+            source.refuse((*key, "friction", "steps"), "only the extension cylinder may have steps")
+        telescope = isinstance(keys.linkage, TelescopeKeys)
+        if telescope != (name == "extension"):
+            allowed = "must be telescope" if name == "extension" else "must not be telescope on a rotating joint"
+            source.refuse((*key, "linkage", "type"), f"{allowed}")
+            continue
+        joint = _range(name, joints.get(name))
+        if joint is not None:
+            _check_linkage(source, key, keys, joint)
+    for name, body in _mapping(data, "bodies").items():
+        keys = _part(BodyKeys, body)
+        if keys is not None and keys.extension_share and keys.carrier != "tilt":
+            source.refuse(("bodies", name, "extension_share"), "must be 0 unless the carrier is tilt")
+    pump = _part(PumpKeys, data.get("pump"))
+    if pump is not None:
+        for name in ("constant_pressure", "ls_margin"):
+            if getattr(pump, name) > pump.max_pressure:
+                limit = str(source.value(("pump", "max_pressure")))
+                limit += " Pa" if is_bare(limit) else ""
+                source.refuse(("pump", name), f"must be at most max_pressure = {limit}")
+        found = efficiency(pump)
+        if isinstance(found, EfficiencyMap):
+            _check_map(source, found, pump.max_flow)
+
+
+def _mapping(data: dict[str, Data], name: str) -> dict[str, Data]:
+    part = data.get(name)
+    return part if isinstance(part, dict) else {}
+
+
+def _part(model: type[S], data: Data) -> S | None:
+    """A section on its own; None if anything in it is wrong."""
+    try:
+        return model.model_validate(data)
+    except ValidationError:
+        return None
+
+
+def _range(name: str, data: Data) -> tuple[float, float] | None:
+    """A joint's range on its own; None if it is wrong."""
+    try:
+        return TypeAdapter(LengthRange if name == "extension" else AngleRange).validate_python(data)
+    except ValidationError:
+        return None
+
+
+def _check_slewing(source: Source, data: dict[str, Data]) -> None:
+    slewing = _mapping(data, "geometry").get("slewing")
+    for section in ("joints", "cylinders"):
+        part = _mapping(data, section)
+        if slewing is True and part and part.get("base") is None:
+            source.add((section, "base"), " is missing", "must be given since geometry.slewing = true")
+        if slewing is False and "base" in part:
+            source.add((section, "base"), " is given", "must be left out since geometry.slewing = false")
+
+
+def _check_size(source: Source, key: Key, keys: CylinderKeys) -> bool:
+    """Note what is wrong with a cylinder's areas; whether they are right."""
+    size = areas(keys)
+    if size is None:
+        given = [f"{name} = {source.value((*key, name))}" for name in SIZE_KEYS if getattr(keys, name) is not None]
+        source.add(key, f" has {', '.join(given) or 'no size'}", f"its size {SIZES}")
+        return False
+    if size[1] <= 0.0:
+        source.refuse((*key, "rod"), f"must be below bore = {source.value((*key, 'bore'))}")
+    elif size[1] > size[0]:
+        limit = source.value((*key, "piston_area"))
+        source.refuse((*key, "rod_side_area"), f"must be at most piston_area = {limit}")
+    elif keys.connection == "differential" and size[1] >= size[0]:
+        source.refuse((*key, "connection"), "must be standard or single_acting, since both areas are equal")
+    return True
+
+
+def _check_map(source: Source, given: EfficiencyMap, max_flow: float) -> None:
+    """Note a map of the wrong shape, a speed or flow beyond it, and a map that no shaft power meets."""
+    from leanboom.components.pump_power import ALLOWED, at_speed, fit
+
+    key = ("pump", "efficiency")
+    axes = [("speeds", (*key, "total"), given.total)]
+    axes += [("displacements", (*key, "total", i), table) for i, table in enumerate(given.total)]
+    for i, table in enumerate(given.total):
+        axes += [("pressures", (*key, "total", i, j), row) for j, row in enumerate(table)]
+    wrong = [(name, where, entries) for name, where, entries in axes if len(entries) != len(getattr(given, name))]
+    for name, where, entries in wrong:
+        count = len(getattr(given, name))
+        source.add(where, f" has {len(entries)} entries", f"must have {count}, one for each of {name}")
+    if not given.speeds[0] <= given.speed <= given.speeds[-1]:
+        ends = [source.value((*key, "speeds", i)) for i in (0, len(given.speeds) - 1)]
+        source.refuse((*key, "speed"), f"must be from {ends[0]} to {ends[1]}, the ends of speeds")
+        return
+    most = given.speed * given.displacements[-1]
+    if max_flow > most * (1.0 + 1e-9):
+        flow = f"{most * 6e4:.6g} l/min, speed times the last of efficiency.displacements"
+        source.refuse(("pump", "max_flow"), f"must be at most {flow}")
+    if wrong:
+        return
+    met = fit(given)
+    if met.typical > ALLOWED:
+        i, j = met.worst
+        point = [source.value((*key, *where)) for where in (("speed",), ("displacements", i), ("pressures", j))]
+        place = ", ".join(map(str, point))
+        source.add(
+            (*key, "total"),
+            f" is no map of a pump: losses that rise with pressure and flow meet its powers within "
+            f"{100.0 * met.typical:.1f} %",
+            f"must be within {100.0 * ALLOWED:g} %; "
+            f"farthest off, by {100.0 * met.largest:.0f} %, is {at_speed(given)[i, j]:.4g} at {place}",
+        )
+
+
+def _check_linkage(source: Source, key: Key, keys: CylinderKeys, joint: tuple[float, float]) -> None:
+    """Note a linkage that cannot close or has no torque arm somewhere in its joint's range, or a wrong stroke."""
+    import numpy as np
+
+    shape = linkage(keys.linkage)
+    q = np.linspace(*joint, _SAMPLES)
+    name = key[-1]
+    kind = keys.linkage.type
+    unit = "m" if name == "extension" else "rad"
+    span = f"joints.{name} = [{joint[0]:.6g}, {joint[1]:.6g}] {unit}"
+    with np.errstate(all="ignore"):
+        open_at = q[~_closes(shape, q)] if isinstance(shape, FourBar) else q[:0]
+        _, arm, _ = shape.length_arm_slope(q)
+        dead = q[~(arm * arm[0] > _SMALLEST_ARM * abs(arm[0]))]
+    where = (*key, "linkage")
+    if open_at.size:
+        source.add(where, f" = {kind}", f"must close over {span}, but does not at {open_at[0]:.3f} {unit}")
+    elif dead.size:
+        place = f"{dead[0]:.3f} {unit}"
+        source.add(where, f" = {kind}", f"must have a torque arm over {span}, but passes a dead centre at {place}")
+    elif keys.stroke is not None:
+        change = stroke(shape, *joint)
+        if abs(change - keys.stroke) > max(1e-3, 0.02 * keys.stroke):
+            source.refuse(
+                (*key, "stroke"),
+                f"must be {change:.4f} m within 2 %, the change of the cylinder's length over {span}, or be left out",
+            )
+
+
+def _closes(bar: FourBar, q):
+    """Whether eq. (14) holds: lever and coupler meet (acos) and the asin is on its branch."""
+    import numpy as np
+
+    squared = bar.L22**2 + bar.L23**2 - 2.0 * bar.L22 * bar.L23 * np.cos(pi + q + bar.a21 + bar.a22)
+    cosine = (bar.L25**2 + squared - bar.L24**2) / (2.0 * bar.L25 * np.sqrt(squared))
+    return (np.abs(cosine) < 1.0) & (bar.L22**2 + squared > bar.L23**2)
+
+
+def check_task(source: Source, machine: Machine | None) -> None:
+    """Note what does not fit together in a task file, or in the task and its machine."""
+    data = source.data if isinstance(source.data, dict) else {}
+    path = data.get("path")
+    keys = _part(LinesKeys, path) or _part(SplineKeys, path)
+    made = None
+    if isinstance(keys, LinesKeys):
+        if fault := miscounted(keys.points, keys.durations):
+            source.add(("path", "durations"), *fault)
+        else:
+            made = Lines(keys.points, keys.durations)
+    elif isinstance(keys, SplineKeys):
+        if fault := miscounted(keys.points, keys.times, spline=True):
+            source.add(("path", "times"), *fault)
+        else:
+            made = Spline(keys.points, keys.times)
+    if machine is None:
+        return
+    start, smooth = _value(Start(), data.get("start")), _value(Quantity(CUTOFF), data.get("smooth"))
+    for key, _, what in faults(made, machine, "middle" if start is None else start, smooth):
+        source.refuse(key, what)
+
+
+def _value(rule: Rule, data: Data) -> Any:
+    """A value on its own; None if it is wrong or missing."""
+    try:
+        return None if data is None else rule.check(data)
+    except PydanticCustomError:
+        return None

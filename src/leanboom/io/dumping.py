@@ -1,0 +1,213 @@
+"""Machines and tasks written as files again: every value as it was written and where it comes from, or in SI units."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import asdict
+from typing import Any
+
+from pydantic import ValidationError
+
+from leanboom.components.linkages import FourBar, Linkage, Polynomial, RackAndPinion, Telescope
+from leanboom.components.valves import MobileValve
+from leanboom.errors import InputError
+from leanboom.io.checks import SIZE_KEYS, areas, stroke
+from leanboom.io.fields import Rule, rule_of
+from leanboom.io.schema import EFFICIENCY_MAP, CylinderKeys, MachineKeys, Section, TaskKeys
+from leanboom.io.yaml_source import STATUSES, Key, dotted, scalar, shortened
+from leanboom.model.machine import METERING, Circuit, Cylinder, Joint, Machine, Provenance
+from leanboom.model.task import Spline, Task, written
+from leanboom.quantities.units import KINDS, parse, write
+
+_PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")  # texts that need no quotes
+
+
+def machine_text(machine: Machine) -> str:
+    """The text of a machine file that loads as this machine, provenance included."""
+    origin = {entry.key: entry for entry in machine.provenance}
+    data = {
+        "name": machine.name,
+        "description": machine.description,
+        "geometry": asdict(machine.geometry),
+        "joints": {joint.name: [joint.lower, joint.upper] for joint in machine.joints},
+        "cylinders": {
+            cylinder.name: _cylinder(cylinder, joint, origin)
+            for cylinder, joint in zip(machine.cylinders, machine.joints, strict=True)
+        },
+        "bodies": {body.name: _without(asdict(body), "name") for body in machine.bodies},
+        "payload": {"along": machine.payload_along, "above": machine.payload_above},
+        "valve": {
+            "type": "mobile_valve" if isinstance(machine.valve, MobileValve) else "independent_metering",
+            **asdict(machine.valve),
+        },
+        "pump": asdict(machine.pump),
+        "driven_velocity": machine.driven_velocity,
+        "dynamics": {"coriolis": machine.coriolis, "slewing_inertia": machine.slewing_inertia},
+        "simulation": _circuit(machine, origin),
+        "gravity": machine.gravity,
+    }
+    keys = _validated(MachineKeys, data, f"machine {machine.name}")
+    return "".join(f"{line}\n" for line in _section(keys, (), origin)).lstrip("\n")
+
+
+def task_text(task: Task, machine: str) -> str:
+    """The text of a task file that loads as this task, where `machine` names the machine's file."""
+    path = written(task)
+    data = {
+        "name": task.name,
+        "machine": machine,
+        "payload": task.payload,
+        "path": {"type": "spline" if isinstance(path, Spline) else "lines", **asdict(path)},
+        "start": task.start,
+        "smooth": task.smooth,
+    }
+    keys = _validated(TaskKeys, data, f"task {task.name}")
+    return "".join(f"{line}\n" for line in _section(keys, (), {})).lstrip("\n")
+
+
+def _validated(model: type[Section], data: dict[str, Any], what: str) -> Any:
+    """Values made in Python are held to the same rules as a file's."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        found = error.errors(include_url=False)
+        problems = [
+            f"{what}: {dotted(_key(line['loc']))} = {line['input']}; {line.get('ctx', {}).get('allowed')}"
+            for line in found
+        ]
+        raise InputError("\n".join(problems)) from None
+
+
+def _key(loc: tuple[str | int, ...]) -> Key:
+    return tuple(step for step in loc if step != EFFICIENCY_MAP)
+
+
+def _without(values: dict[str, Any], *names: str) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if name not in names}
+
+
+def _cylinder(cylinder: Cylinder, joint: Joint, origin: dict[str, Provenance]) -> dict[str, Any]:
+    values = _without(asdict(cylinder), "name", "piston_area", "rod_side_area")
+    given = f"cylinders.{cylinder.name}.stroke" in origin
+    if not given and cylinder.stroke == stroke(cylinder.linkage, joint.lower, joint.upper):
+        del values["stroke"]  # reading finds the same
+    linkage = {"type": _linkage_type(cylinder.linkage), **asdict(cylinder.linkage)}
+    values |= {"linkage": linkage, "connection": cylinder.connection.value}
+    return _size(cylinder, origin) | values
+
+
+def _circuit(machine: Machine, origin: dict[str, Provenance]) -> dict[str, Any]:
+    """What was given for the simulation, or changed since."""
+    defaults = asdict(Circuit() if isinstance(machine.valve, MobileValve) else METERING)
+    return {
+        name: value
+        for name, value in asdict(machine.circuit).items()
+        if value != defaults[name] or f"simulation.{name}" in origin
+    }
+
+
+def _linkage_type(linkage: Linkage) -> str:
+    kinds = {
+        RackAndPinion: "rack_and_pinion",
+        FourBar: "four_bar",
+        Polynomial: "polynomial",
+        Telescope: "telescope",
+    }
+    return kinds.get(type(linkage), "triangle")
+
+
+def _size(cylinder: Cylinder, origin: dict[str, Provenance]) -> dict[str, Any]:
+    """The diameters a cylinder's areas were computed from, if they still are; else the areas."""
+    written = {}
+    for name in SIZE_KEYS:
+        entry = origin.get(f"cylinders.{cylinder.name}.{name}")
+        if entry is not None:
+            kind = "area" if name.endswith("area") else "number" if name == "racks" else "length"
+            written[name] = parse(entry.value, KINDS[kind])
+    exact = (cylinder.piston_area, cylinder.rod_side_area)
+    if None not in written.values() and areas(CylinderKeys.model_construct(**written)) == exact:
+        return written
+    return {"piston_area": exact[0], "rod_side_area": exact[1]}
+
+
+def _section(section: Section, key: Key, origin: dict[str, Provenance]) -> list[str]:
+    """Lines of a section's keys; those with their default value and no origin are left out."""
+    lines: list[str] = []
+    after_section = False
+    for name, field in type(section).model_fields.items():
+        value = getattr(section, name)
+        here = (*key, name)
+        known = any(entry == dotted(here) or entry.startswith(f"{dotted(here)}.") for entry in origin)
+        if value is None or (not known and not field.is_required() and value == field.default):
+            continue
+        deeper = isinstance(value, Section | dict)
+        if not key and (deeper or after_section):
+            lines.append("")
+        after_section = deeper
+        rule = rule_of(field.metadata, field.annotation) or Rule()
+        lines += _entry(value, here, rule, origin)
+    return lines
+
+
+def _entry(value: Any, key: Key, rule: Rule, origin: dict[str, Provenance]) -> list[str]:
+    """Lines of one key, indented by its depth."""
+    indent = "  " * (len(key) - 1)
+    name = f"{indent}{key[-1]}:"
+    if isinstance(value, Section):
+        return [name, *_section(value, key, origin)]
+    if isinstance(value, dict):
+        return [name] + [line for inner, part in value.items() for line in _entry(part, (*key, inner), rule, origin)]
+    if not isinstance(value, tuple):
+        return [f"{name} {_scalar(value, key, rule, origin)}{_comment(value, key, rule, origin)}"]
+    return _listed(name, value, key, rule, origin)
+
+
+def _listed(lead: str, values: tuple, key: Key, rule: Rule, origin: dict[str, Provenance]) -> list[str]:
+    """Lines of a list after its key or dash: in one line if one comment speaks for all its values."""
+    if not isinstance(values[0], tuple):
+        comments = {_comment(part, (*key, i), rule, origin) for i, part in enumerate(values)}
+        if len(comments) == 1:
+            return [f"{lead} {_flow(values, key, rule, origin)}{comments.pop()}"]
+    lines = [lead]
+    dash = " " * (len(lead) - len(lead.lstrip()) + 2) + "-"
+    for i, part in enumerate(values):
+        here = (*key, i)
+        if isinstance(part, tuple):
+            lines += _listed(dash, part, here, rule, origin)
+        else:
+            lines.append(f"{dash} {_scalar(part, here, rule, origin)}{_comment(part, here, rule, origin)}")
+    return lines
+
+
+def _flow(values: tuple, key: Key, rule: Rule, origin: dict[str, Provenance]) -> str:
+    return f"[{', '.join(_scalar(part, (*key, i), rule, origin) for i, part in enumerate(values))}]"
+
+
+def _source(value: Any, key: Key, rule: Rule, origin: dict[str, Provenance]) -> Provenance | None:
+    """Where a value comes from; None if that is not known, or was said of another value."""
+    entry = origin.get(dotted(key))
+    if entry is None:
+        return None
+    known = scalar(entry.value) if rule.kind is None or isinstance(value, str) else parse(entry.value, rule.kind)
+    return entry if known == value or entry.value == str(value) else None
+
+
+def _scalar(value: Any, key: Key, rule: Rule, origin: dict[str, Provenance]) -> str:
+    """A value as it was written, if it still has that value; else in SI units."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return value if _PLAIN.fullmatch(value) and scalar(value) == value else json.dumps(value, ensure_ascii=False)
+    entry = _source(value, key, rule, origin)
+    if entry is not None:
+        return entry.value
+    return write(value, KINDS["number"] if rule.bare or rule.kind is None else rule.kind)
+
+
+def _comment(value: Any, key: Key, rule: Rule, origin: dict[str, Provenance]) -> str:
+    entry = _source(value, key, rule, origin)
+    if entry is None or entry.status not in STATUSES:
+        return ""
+    note = shortened(entry.note, 200)
+    return f"  # {entry.status}: {note}" if note else f"  # {entry.status}"

@@ -1,0 +1,309 @@
+"""Machine and task files: read, checked, resolved and written again.
+
+A file is YAML with units in its values; `docs/files.md` describes every key. Whatever is wrong with a file is said in
+one `InputError`, a line for each problem: file, line, key, value and what is allowed. Pydantic, ruamel and pint are
+imported when a file is read, not before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from leanboom.components.friction import Friction
+from leanboom.components.pumps import Pump
+from leanboom.components.valves import Connection, IndependentMetering, MobileValve
+from leanboom.errors import InputError
+from leanboom.model.machine import METERING, Body, Circuit, Cylinder, Geometry, Joint, Machine, Provenance
+
+if TYPE_CHECKING:
+    from leanboom.io.schema import CylinderKeys, MachineKeys, PumpKeys, Section
+    from leanboom.io.yaml_source import Key, Source
+    from leanboom.model.task import Task
+
+_FOLDER = Path(__file__).parents[1] / "data"
+_STRUCTURE = ("name", "description", "type", "carrier")  # words that need no provenance
+
+
+def bundled_machines() -> tuple[str, ...]:
+    """Names of the machines that come with leanboom."""
+    return _bundled("machines")
+
+
+def bundled_tasks() -> tuple[str, ...]:
+    """Names of the tasks that come with leanboom."""
+    return _bundled("tasks")
+
+
+def _bundled(folder: str) -> tuple[str, ...]:
+    return tuple(sorted(path.stem for path in (_FOLDER / folder).glob("*.yaml")))
+
+
+def load_machine(name_or_path: str | Path) -> Machine:
+    """Load a machine.
+
+    Args:
+        name_or_path: Name of a bundled machine, or a machine file.
+
+    Returns:
+        The machine, in SI units, with the provenance of its values.
+
+    Raises:
+        InputError: There is no such machine, or its file has problems; all of them are named.
+    """
+    path, source = _open("machine", name_or_path)
+    return _machine(source, path)
+
+
+def load_task(name_or_path: str | Path, *, start: str | float | None = None) -> Task:
+    """Load a task and its machine.
+
+    Args:
+        name_or_path: Name of a bundled task, or a task file.
+        start: In place of the file's `start`: "smallest", "middle", "best", or a length of the redundant cylinder
+            ("0.3 m", or a number in [m]).
+
+    Returns:
+        The task, in SI units.
+
+    Raises:
+        InputError: There is no such task, or its file or its machine's file has problems; all of them are named.
+    """
+    from leanboom.io.checks import check_task
+    from leanboom.io.schema import TaskKeys
+    from leanboom.model.task import Lines, Spline, Task
+
+    path, source = _open("task", name_or_path)
+    keys = _validated(TaskKeys, source)
+    machine, others = _machine_of(source, path.parent)
+    check_task(source, machine)
+    name = _name(keys, source, path)
+    source.report(*others)
+    assert isinstance(keys, TaskKeys) and machine is not None  # else reported
+    path_keys = keys.path
+    if path_keys.type == "lines":
+        tool_path = Lines(path_keys.points, path_keys.durations)
+    else:
+        tool_path = Spline(path_keys.points, path_keys.times)
+    return Task(
+        name=name,
+        machine=machine,
+        path=tool_path,
+        payload=keys.payload,
+        start=keys.start if start is None else start,
+        smooth=keys.smooth,
+        source=source.text,
+    )
+
+
+def dump_machine(machine: Machine) -> str:
+    """The text of a complete machine file that loads as an equal machine, provenance included."""
+    from leanboom.io.dumping import machine_text
+
+    return machine_text(machine)
+
+
+def dump_task(task: Task, machine: str = "machine.yaml") -> str:
+    """The text of a complete task file that loads as an equal task.
+
+    Args:
+        task: The task.
+        machine: Where the task's machine is written, relative to the task file.
+    """
+    from leanboom.io.dumping import task_text
+
+    return task_text(task, machine)
+
+
+def json_schema(kind: Literal["machine", "task"]) -> dict[str, Any]:
+    """JSON schema of machine or task files, for editors that complete and check keys."""
+    from leanboom.io.schema import MachineKeys, TaskKeys
+
+    models = {"machine": MachineKeys, "task": TaskKeys}
+    if kind not in models:
+        raise InputError(f"schema = {kind}; must be {', '.join(models)}")
+    schema = models[kind].model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": f"leanboom {kind} file"}
+
+
+def _machine_of(source: Source, folder: Path) -> tuple[Machine | None, tuple[InputError, ...]]:
+    """The machine of a task file; or None and what is wrong with the machine's own file."""
+    from leanboom.io.yaml_source import read
+
+    wanted = source.data.get("machine") if isinstance(source.data, dict) else None
+    if not isinstance(wanted, str):
+        return None, ()
+    found = _find("machine", wanted, folder)
+    if found is None:
+        source.refuse(("machine",), _choices("machine", wanted))
+        return None, ()
+    path, name = found
+    try:
+        return _machine(read(path, name), path), ()
+    except InputError as error:
+        return None, (error,)
+
+
+def _open(kind: str, wanted: str | Path) -> tuple[Path, Source]:
+    """The machine or task file a caller means, read."""
+    from leanboom.io.yaml_source import read, shortened
+
+    found = _find(kind, wanted, Path())
+    if found is None:
+        raise InputError(f"{kind} = {shortened(str(wanted), 200) or 'nothing'}; {_choices(kind, str(wanted))}")
+    return found[0], read(*found)
+
+
+def _find(kind: str, wanted: str | Path, folder: Path) -> tuple[Path, str] | None:
+    """File of a machine or task, and what to call it in messages; None if there is none.
+
+    Args:
+        kind: "machine" or "task".
+        wanted: Bundled name or path; a `Path` is never a bundled name.
+        folder: What a relative path is relative to.
+    """
+    if isinstance(wanted, str) and wanted in _bundled(f"{kind}s"):
+        return _FOLDER / f"{kind}s" / f"{wanted}.yaml", f"{wanted}.yaml"
+    path = folder / wanted
+    try:
+        return (path, str(path)) if path.is_file() else None
+    except (OSError, ValueError):  # a name no file can have
+        return None
+
+
+def _choices(kind: str, wanted: str) -> str:
+    from leanboom.io.fields import suggestion
+
+    return f"must be a file or a bundled {kind}: {suggestion(wanted[:200], _bundled(f'{kind}s'))}"
+
+
+def _machine(source: Source, path: Path) -> Machine:
+    """The machine of a file that was read."""
+    from leanboom.io.checks import check_machine
+    from leanboom.io.schema import MachineKeys
+
+    keys = _validated(MachineKeys, source)
+    check_machine(source)
+    name = _name(keys, source, path)
+    source.report()
+    assert isinstance(keys, MachineKeys)  # else reported
+    names = [name for name in type(keys.joints).model_fields if getattr(keys.joints, name) is not None]
+    return Machine(
+        name=name,
+        description=keys.description,
+        geometry=Geometry(**keys.geometry.model_dump()),
+        joints=tuple(Joint(name, *getattr(keys.joints, name)) for name in names),
+        cylinders=tuple(_cylinder(name, getattr(keys.cylinders, name), getattr(keys.joints, name)) for name in names),
+        bodies=tuple(Body(name=name, **body.model_dump()) for name, body in keys.bodies.items()),
+        payload_along=keys.payload.along,
+        payload_above=keys.payload.above,
+        valve=_valve(keys),
+        pump=_pump(keys.pump),
+        driven_velocity=keys.driven_velocity,
+        coriolis=keys.dynamics.coriolis,
+        slewing_inertia=keys.dynamics.slewing_inertia,
+        gravity=keys.gravity,
+        circuit=replace(circuit_defaults(keys.valve.type), **keys.simulation.model_dump(exclude_none=True)),
+        provenance=_provenance(source),
+    )
+
+
+def _name(keys: Section | None, source: Source, path: Path) -> str:
+    """The name that a file gives, or one made of its own name; that neither does is noted as a problem."""
+    from leanboom.io.fields import Name
+
+    name = getattr(keys, "name", None) or Name.made_of(path.stem)
+    if not name:
+        missing = " is missing, and the file's name has no letter or digit to make one of"
+        source.add(("name",), missing, Name.allowed)
+    return name
+
+
+def _cylinder(name: str, keys: CylinderKeys, joint: tuple[float, float]) -> Cylinder:
+    from leanboom.io.checks import areas, linkage, stroke
+
+    size, shape = areas(keys), linkage(keys.linkage)
+    assert size is not None  # checked
+    return Cylinder(
+        name=name,
+        piston_area=size[0],
+        rod_side_area=size[1],
+        stroke=stroke(shape, *joint) if keys.stroke is None else keys.stroke,
+        linkage=shape,
+        connection=Connection(keys.connection),
+        friction=Friction(**keys.friction.model_dump()),
+        velocity_limit=keys.velocity_limit,
+        acceleration_limit=keys.acceleration_limit,
+    )
+
+
+def _valve(keys: MachineKeys) -> MobileValve | IndependentMetering:
+    values = keys.valve.model_dump(exclude={"type"})
+    return MobileValve(**values) if keys.valve.type == "mobile_valve" else IndependentMetering(**values)
+
+
+def circuit_defaults(valve: str) -> Circuit:
+    """What the simulation takes where a machine file says nothing.
+
+    Args:
+        valve: The type of the machine's valve, as in its file.
+    """
+    return METERING if valve == "independent_metering" else Circuit()
+
+
+def _pump(keys: PumpKeys) -> Pump:
+    from leanboom.io.checks import efficiency
+
+    return Pump(**keys.model_dump(exclude={"efficiency"}), efficiency=efficiency(keys))
+
+
+def _provenance(source: Source) -> tuple[Provenance, ...]:
+    from leanboom.io.yaml_source import dotted, shown
+
+    return tuple(
+        Provenance(dotted(key), shown(source.value(key)), *status)
+        for key, status in source.statuses().items()
+        if key[-1] not in _STRUCTURE and source.value(key) not in (None, "")  # nothing written: the default holds
+    )
+
+
+def _validated(model: type[Section], source: Source) -> Section | None:
+    """A file's data as its model; problems are noted, and None returned."""
+    from pydantic import ValidationError
+
+    try:
+        return model.model_validate(source.data)
+    except ValidationError as error:
+        for line in error.errors(include_url=False):
+            context = line.get("ctx", {})
+            key = _key(source, line["loc"])
+            key = (*key, context["key"]) if context["key"] else key
+            if line["type"] == "missing":
+                source.add(key, " is missing", context["allowed"])
+            elif line["type"] == "unknown":
+                source.add(key, " is not a key here", f"valid keys: {context['allowed']}")
+            elif key and key[-1] == "[key]":  # pydantic's word for a wrong key of a mapping
+                source.add(key[:-1], " has a wrong name", context["allowed"])
+            elif key:
+                source.refuse(key, context["allowed"])
+            else:
+                source.add((), "", f"the file {context['allowed']}")
+        return None
+
+
+def _key(source: Source, loc: tuple[str | int, ...]) -> Key:
+    """Where a pydantic error is in the file: pydantic also names the chosen type of a section."""
+    from leanboom.io.schema import EFFICIENCY_MAP
+
+    key: Key = ()
+    node: Any = source.data  # what is at `key`, as far as the file has it
+    for step in loc:
+        if isinstance(node, dict) and step not in node and step in (node.get("type"), EFFICIENCY_MAP):
+            continue
+        key = (*key, step)
+        if isinstance(node, dict):
+            node = node.get(step)
+        else:
+            node = node[step] if isinstance(node, list) and isinstance(step, int) else None
+    return key

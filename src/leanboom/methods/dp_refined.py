@@ -1,0 +1,446 @@
+"""The search of method `dp`: from a task to the best judged motion, over all local minima that a coarse grid shows.
+
+A coarse dynamic program, forward and backward in time, gives the least cost of a motion through every node, and so
+the local minima worth following (`local_minima`). Each is refined in tubes, narrow grids around a motion, and polished
+with its switches fixed (`modes`); the best of them are refined further, at last on shorter stages. Load-sensing costs
+have many local minima that differ in their switches alone: a tube's motion is polished even where its own cost is no
+lower.
+The judge measures every candidate, and the best feasible one wins.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from leanboom.dynamic_programming import grids, local_minima, value_function
+from leanboom.errors import LeanboomError
+from leanboom.evaluation.evaluate import Evaluation, evaluate, judged_cost
+from leanboom.fixed_mode import modes
+from leanboom.fixed_mode.modes import Modes, Polisher
+from leanboom.model.motion import Motion
+from leanboom.model.task import Task
+from leanboom.problem import feasible_strokes, stages, starts
+from leanboom.problem.stages import Problem
+
+Progress = Callable[[str, float], None]
+
+GRID = (101, 51)  # positions and velocities of the coarse program: denser ones end no lower on random tasks
+# Half widths of the first tube, of the stroke range and of the coarse grid's velocities. Level n is 1 / 2^n as wide.
+WIDTH, SPREAD = 0.03, 0.12
+# Nodes of a tube. With loads velocities count: switches lie where cylinders begin to be driven, a few mm/s apart;
+# narrower tubes do with fewer positions. The last where the motion follows an end of feasible extensions that moves.
+TUBE, LOADED_TUBE, NARROW_TUBE, RIDING_TUBE = (17, 17), (17, 65), (9, 65), (31, 33)
+FIRST_LEVELS, NEXT_LEVELS, LAST_LEVELS = (0,), (0, 2), (1, 2)  # of local minima, the best, finer stages
+RIDING_LEVELS = (2, 3, 4, 5)  # with loads, where the motion follows a moving end
+LEAST_STAGES = 200  # with loads switches begin and end with stages: a short task has shorter ones
+SAME = 1e-6  # local minima whose costs differ by less than this share are one
+LEADING = 1.002  # local minima within this factor of the best are refined further
+PROMISING = 1.0005  # a tube's motion within this factor of the best is polished where loads count
+POLISHABLE = 1.3  # a motion that uses a limit up to this much too far is polished where it is cheaper
+NEAR = 1.05  # a pseudo-inverse of long steps within this factor of the best is made again with short ones
+MOVING, TOUCHING = 1e-3, 1e-4  # a limit that moves [m/s], and a motion on it [m]
+FINER = 5e-4  # stages are halved again while that gains more than this share
+REPAIRABLE, ROOM = 1.05, 0.9995  # limits used up to this much too far are polished again, to below this share
+FAR = 5e-3  # a seed that is this share behind the best after a round is not polished again
+SETTLED = 1e-4  # polishing ends when it gains less than this share
+NARROW = 0.8  # share of the velocities of a grid beyond which a motion asks for a wider grid
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How far the search goes."""
+
+    minima: int  # local minima followed at most
+    stages: int  # of all of them together, about: the shorter the task, the more are followed
+    share: float  # how much more than the best they may cost on the coarse grid
+    leading: int  # of them, refined further at most
+    shortest: int  # stages are at most this many times shorter at the end
+
+    def most(self, count: int, loads: bool) -> int:
+        """Local minima to follow on a number of stages; without loads there are few."""
+        return min(self.minima, max(2, self.stages // count) if loads else 2)
+
+
+EFFORTS = {
+    "quick": Effort(1, 0, 0.0, 1, 1),
+    "default": Effort(4, 800, 0.02, 2, 4),
+    "thorough": Effort(24, 4800, 0.05, 4, 4),
+}
+
+
+class Search:
+    """One search: the task, the log, and the best judged motion so far."""
+
+    def __init__(
+        self, task: Task, cost: str, grid: tuple[int, int], step: float, effort: Effort = EFFORTS["default"],
+        tell: Progress = lambda text, share: None,
+    ):  # fmt: skip
+        self.task, self.cost, self.grid, self.effort, self.tell = task, cost, grid, effort, tell
+        self.began = time.perf_counter()
+        self.log: list[str] = []
+        self.best: Evaluation | None = None
+        self.loads = cost in ("ls", "actuator")
+        self.short = self.loads and task.duration < LEAST_STAGES * step
+        self.step = task.duration / LEAST_STAGES if self.short else step
+        self.span = task.machine.redundant.velocity_limit  # velocities of the coarse grid reach this far [m/s]
+        self._polishers: dict[int, Polisher] = {}  # by number of stages
+        self._polished: list[Modes] = []
+
+    def run(self, seeds: Iterable[Motion] = ()) -> Evaluation:
+        """The best motion.
+
+        Args:
+            seeds: Motions to look around besides those that the coarse grid shows.
+        """
+        problem = stages.discretise(self.task, self.step)
+        start = starts.start_position(problem, self.task.start)
+        found = [self.descend(problem, seed, start, FIRST_LEVELS) for seed in self.coarse(problem, start)]
+        for seed in seeds:
+            judged = self.judge(seed, "given motion")
+            found.append(judged)
+            found.append(self.descend(problem, judged.motion, start, NEXT_LEVELS))
+        self.lead(problem, found, start)
+        best = self.known_best()
+        first = float(best.motion.position[0]) if start is None else start
+        other = self.baseline(first, self.step)
+        if other is not None and (self.cost == "actuator" or self.rides_on_a_limit(problem)):
+            self.polish(problem, other.motion, start is None)  # at times to a lower minimum, or along a moving limit
+        self.finer_stages(start)
+        if not self.known_best().feasible:
+            self.from_other_costs(problem, start)
+        self.keep_baseline(problem, other, first)
+        return self.known_best()
+
+    def look_around(self, seed: Motion) -> Evaluation:
+        """The best motion after one more seed, such as one that a proof has found."""
+        problem = stages.discretise(self.task, self.step)
+        start = starts.start_position(problem, self.task.start)
+        before = self.known_best()
+        judged = self.judge(seed, "given motion")
+        if judged_cost(judged, self.cost) <= LEADING * judged_cost(before, self.cost):
+            self.descend(problem, judged.motion, start, NEXT_LEVELS)
+            self.finer_stages(start)
+        return self.known_best()
+
+    def known_best(self) -> Evaluation:
+        """The best judged motion so far."""
+        assert self.best is not None
+        return self.best
+
+    def coarse(self, problem: Problem, start: float | None) -> list[Motion]:
+        """Motions of the coarse program: one for each local minimum worth following, the best first.
+
+        Velocities reach as far as motions make use of them, and no farther than the limit.
+        """
+        limit = problem.crane.machine.redundant.velocity_limit
+        self.span = problem.pace
+        while True:
+            self.tell(f"coarse dynamic program, velocities up to {self.span:.3g} m/s", 0.05)
+            grid = grids.full_grid(problem, *self.grid, self.span)
+            policy = value_function.solve(problem, grid, self.cost)
+            if self.effort.minima > 1:
+                self.tell("local minima", 0.2)
+                most = self.effort.most(problem.stages, self.loads)
+                minima = local_minima.local_minima(local_minima.through(policy, start), self.effort.share, most)
+            else:
+                minima = [value_function.rollout(policy, value_function.best_start(policy) if start is None else start)]
+            fastest = max(float(np.abs(each.velocity).max()) for each in minima)
+            if self.span >= limit or fastest < NARROW * self.span:
+                break
+            self.span = min(limit, 2.0 * self.span)
+        if start is None:  # given starts are starts, too
+            minima += [value_function.rollout(policy, float(each[0])) for each in (problem.lower, problem.upper)]
+        self.note(f"coarse {grid.positions}x{grid.velocities}: {len(minima)} motions")
+        return minima
+
+    def descend(self, problem: Problem, seed: Motion, start: float | None, levels: tuple[int, ...]) -> Evaluation:
+        """The best motion found in tubes around a motion, each tube around the best one so far, and by polishing.
+
+        Args:
+            problem: The discretised task; `seed` may have other stages.
+            seed: The motion to begin around.
+            start: The start of the redundant cylinder [m]; None where it is free.
+            levels: How narrow the tubes are.
+        """
+        low, high = feasible_strokes.stroke_range(self.task)
+        chain: Evaluation | None = None
+        for level in levels:
+            self.tell(f"tubes of 1/{2**level} width", 0.3 + 0.1 * level)
+            at = stages.on_stages(problem, seed if chain is None else chain.motion)
+            half = 0.5**level
+            widths = half * WIDTH * (high - low), half * SPREAD * self.span
+            tube = grids.tube_grid(problem, at.position, at.velocity, *widths, *self.nodes(problem, level))
+            policy = value_function.solve(problem, tube, self.cost)
+            moved = value_function.rollout(policy, value_function.best_start(policy) if start is None else start)
+            found = self.judge(moved, f"tube of {widths[0]:.4f} m, {widths[1]:.4f} m/s")
+            if self.promises(found, chain):
+                found = better(found, self.polish(problem, moved, start is None), self.cost)
+            chain = found if chain is None else better(chain, found, self.cost)
+        assert chain is not None
+        return chain
+
+    def nodes(self, problem: Problem, level: int) -> tuple[int, int]:
+        """Positions and velocities of a tube."""
+        if self.rides_on_a_limit(problem):
+            return RIDING_TUBE
+        if not self.loads:
+            return TUBE
+        return NARROW_TUBE if level else LOADED_TUBE
+
+    def promises(self, found: Evaluation, chain: Evaluation | None) -> bool:
+        """Whether a tube's motion is worth polishing: the first around a local minimum, and what may be better.
+
+        With loads its switches may be the better ones where it costs a little more.
+        """
+        if not found.feasible and found.worst_use >= POLISHABLE:
+            return False
+        if self.loads and chain is not None:
+            return judged_cost(found, self.cost) <= PROMISING * judged_cost(self.known_best(), self.cost)
+        return chain is None or cheaper(found, chain, self.cost)
+
+    def lead(self, problem: Problem, found: list[Evaluation], start: float | None) -> None:
+        """Refine the best of some local minima further.
+
+        Without loads the polish of a motion is a local minimum already, unless a limit moves with it.
+        """
+        best = self.known_best()
+        if not self.loads and best.feasible and not self.rides_on_a_limit(problem):
+            return
+        near = [each for each in found if judged_cost(each, self.cost) <= LEADING * judged_cost(best, self.cost)]
+        near = [each for each in near if each.feasible == best.feasible] or [best]
+        near.sort(key=lambda each: judged_cost(each, self.cost))
+        leaders = near[:1]
+        for each in near[1:]:
+            if gains(judged_cost(each, self.cost), judged_cost(leaders[-1], self.cost), SAME):
+                leaders.append(each)
+        levels = NEXT_LEVELS if self.loads else NEXT_LEVELS[1:]
+        for each in leaders[: self.effort.leading]:
+            self.descend(problem, each.motion, start, levels)
+        if self.loads and self.rides_on_a_limit(problem):
+            self.descend(problem, self.known_best().motion, start, RIDING_LEVELS)
+
+    def rides_on_a_limit(self, problem: Problem) -> bool:
+        """Whether the best motion follows an end of the feasible extensions that itself moves."""
+        if self.best is None:
+            return False
+        position = stages.on_stages(problem, self.best.motion).position
+        for end in (problem.lower, problem.upper):
+            moves = np.abs(np.gradient(end, problem.step)) > MOVING
+            if np.any(moves & (np.abs(position - end) < TOUCHING)):
+                return True
+        return False
+
+    def finer_stages(self, start: float | None) -> None:
+        """Refine on stages half and a quarter as long: switches and moving limits ask for it.
+
+        The second halving is for tasks of few stages with loads, and where a moving limit made the first one pay.
+        """
+        factor = 2
+        while factor <= self.effort.shortest:
+            before = self.known_best()
+            problem = stages.discretise(self.task, self.step / factor)
+            self.tell(f"stages of {problem.step:.3g} s", 0.8)
+            self.polish(problem, before.motion, start is None)
+            if self.loads:
+                self.descend(problem, self.known_best().motion, start, LAST_LEVELS)
+            elif self.rides_on_a_limit(problem):
+                self.descend(problem, self.known_best().motion, start, LAST_LEVELS[1:])
+            gained = gains(judged_cost(before, self.cost), judged_cost(self.known_best(), self.cost), FINER)
+            if before.feasible and not self.short and not (gained and self.rides_on_a_limit(problem)):
+                break
+            factor *= 2
+
+    def from_other_costs(self, problem: Problem, start: float | None) -> None:
+        """Look for a feasible motion with other costs, and from there for a cheap one.
+
+        Whether a motion exists does not depend on the cost: constant-pressure energy and squared velocities are
+        smooth enough to be led to a feasible motion where this cost's jumps were not.
+        """
+        for cost in ("cp", "velocity"):
+            if cost == self.cost:
+                continue
+            self.tell(f"looking for a feasible motion by its {cost} cost", 0.85)
+            other = Search(self.task, cost, self.grid, self.step, EFFORTS["quick"])
+            seed = other.run_once(problem, start)
+            if seed.feasible:
+                self.judge(seed.motion, f"feasible motion by its {cost} cost")
+                self.descend(problem, seed.motion, start, NEXT_LEVELS)
+                self.finer_stages(start)
+                return
+
+    def run_once(self, problem: Problem, start: float | None) -> Evaluation:
+        """The best motion of one coarse minimum, its tubes and polish, without any other candidate."""
+        for seed in self.coarse(problem, start):
+            self.descend(problem, seed, start, FIRST_LEVELS)
+        if not self.known_best().feasible:
+            fine = stages.discretise(self.task, 0.5 * self.step)
+            self.polish(fine, self.known_best().motion, start is None)
+        return self.known_best()
+
+    def polish(self, problem: Problem, seed: Motion, free: bool, rounds: int = 1) -> Evaluation | None:
+        """Fix the modes of a motion, solve the smooth problem, read the modes off the answer, repeat while it pays.
+
+        Args:
+            problem: The discretised task.
+            seed: The motion.
+            free: Whether its start may move.
+            rounds: Solutions at most.
+
+        Returns:
+            The best motion; None where the modes were polished before or nothing was found.
+        """
+        polisher = self._polishers.get(problem.stages)
+        if polisher is None:
+            polisher = self._polishers[problem.stages] = modes.build(problem, self.cost)
+        best: Evaluation | None = None
+        for _ in range(rounds if self.loads else 1):  # without loads no modes, no second round
+            at = stages.on_stages(problem, seed)
+            switches = modes.modes(polisher, at)
+            if self.loads and any(switches.same_as(known) for known in self._polished):
+                break
+            self._polished.append(switches)
+            with np.errstate(all="ignore"):  # a seed out of reach has no numbers there
+                answer, text = modes.solve(polisher, at, switches, free)
+            if answer is None:
+                self.note(f"polish: {text}")
+                break
+            judged = self.judge(answer, f"polish of {problem.stages} stages ({text})")
+            if not judged.feasible and judged.worst_use < REPAIRABLE:
+                judged = self.repair(polisher, judged, switches, free)
+            before = best
+            best = judged if best is None else better(best, judged, self.cost)
+            seed = judged.motion
+            leader = judged_cost(self.known_best(), self.cost)
+            behind = judged.feasible and gains(judged_cost(judged, self.cost), leader, FAR)
+            settled = before is not None and not gains(
+                judged_cost(before, self.cost), judged_cost(judged, self.cost), SETTLED
+            )
+            if behind or settled:
+                break
+        return best
+
+    def repair(self, polisher: Polisher, judged: Evaluation, switches: Modes, free: bool) -> Evaluation:
+        """Polish again with room for what a polished motion broke between the ends of its intervals."""
+        use = judged.limit_use
+        share = min(1.0, ROOM / use.velocity), min(1.0, ROOM / use.acceleration)
+        answer, text = modes.solve(polisher, judged.motion, switches, free, share)
+        if answer is None:
+            return judged
+        return self.judge(answer, f"polish with room between stages ({text})")
+
+    def polish_alone(self) -> Evaluation:
+        """The polish from the pseudo-inverse: nonlinear programming without the dynamic program."""
+        from leanboom.methods import pseudo_inverse
+
+        problem = stages.discretise(self.task, self.step)
+        start = starts.start_position(problem, self.task.start)
+        first = starts.start_position(problem, "middle") if start is None else start
+        assert first is not None
+        seed = self.judge(pseudo_inverse.resolve(self.task, first, "actuator"), "pseudo-inverse")
+        self.polish(problem, seed.motion, start is None, rounds=4)
+        return self.known_best()
+
+    def baseline(self, start: float, step: float | None = None) -> Evaluation | None:
+        """The actuator pseudo-inverse from a start [m], judged; None where it cannot follow the path.
+
+        Its own step [s] is short and takes time; as a first guess a stage's will do.
+        """
+        from leanboom.methods import pseudo_inverse
+
+        try:
+            step = pseudo_inverse.STEP if step is None else step
+            judged = evaluate(self.task, pseudo_inverse.resolve(self.task, start, "actuator", step))
+        except LeanboomError:
+            return None
+        return judged if judged.followed else None
+
+    def keep_baseline(self, problem: Problem, rough: Evaluation | None, start: float) -> None:
+        """Take the pseudo-inverse, and polish it, where it is better than the best motion: no plan is worse than it."""
+        if rough is not None and judged_cost(rough, self.cost) > NEAR * judged_cost(self.known_best(), self.cost):
+            return
+        other = self.baseline(start)
+        if other is not None and beats(other, self.known_best(), self.cost):
+            self.best = other
+            self.note(f"the pseudo-inverse is better: {judged_cost(other, self.cost):.4g}; refining from it")
+            self.polish(problem, other.motion, False, rounds=4)
+
+    def judge(self, candidate: Motion, name: str) -> Evaluation:
+        """Measure a candidate, note it, keep it if it is the best."""
+        judged = evaluate(self.task, candidate)
+        self.note(f"{name}: {judged_cost(judged, self.cost):.6g}, {judged.status}")
+        if self.best is None or beats(judged, self.best, self.cost):
+            self.best = judged
+        return judged
+
+    def note(self, text: str) -> None:
+        """Add a line to the log."""
+        self.log.append(f"{time.perf_counter() - self.began:6.2f} s  {text}")
+
+
+def beats(one: Evaluation, other: Evaluation, cost: str) -> bool:
+    """Whether a judged motion is better than another: feasible first, then cheaper."""
+    if one.feasible != other.feasible:
+        return one.feasible
+    if not one.feasible:
+        return one.worst_use < other.worst_use
+    return judged_cost(one, cost) < judged_cost(other, cost)
+
+
+def better(one: Evaluation, other: Evaluation | None, cost: str) -> Evaluation:
+    """The better one of two judged motions, the first where they are equal."""
+    return other if other is not None and beats(other, one, cost) else one
+
+
+def cheaper(one: Evaluation, other: Evaluation, cost: str) -> bool:
+    """Whether a judged motion costs less than another, limits aside."""
+    return judged_cost(one, cost) < judged_cost(other, cost)
+
+
+def gains(before: float, after: float, share: float) -> bool:
+    """Whether a cost fell by more than a share of its size."""
+    return before - after > share * abs(before)
+
+
+def slower(task: Task, factor: float) -> Task:
+    """The same task taking `factor` times as long."""
+    return replace(task, path=task.path.slower(factor))
+
+
+def shortest_duration(
+    task: Task, grid: tuple[int, int], step: float, accuracy: float = 0.01, most: float = 16.0
+) -> float | None:
+    """Smallest factor on a task's duration at which a feasible motion is found; None up to `most`.
+
+    Args:
+        task: The task.
+        grid: Position and velocity nodes.
+        step: Length of a stage [s].
+        accuracy: Relative accuracy of the factor, and the margin added to it.
+        most: Largest factor tried.
+
+    Returns:
+        The factor, margin included; 1 where the task itself is feasible.
+    """
+
+    def feasible(factor: float) -> bool:
+        slow = slower(task, factor)
+        problem = stages.discretise(slow, step)
+        start = starts.start_position(problem, task.start)
+        quick = (Search(slow, cost, grid, step, EFFORTS["quick"]) for cost in ("cp", "velocity"))
+        return any(search.run_once(problem, start).feasible for search in quick)
+
+    if feasible(1.0):
+        return 1.0
+    bad, good = 1.0, 2.0
+    while not feasible(good):
+        bad, good = good, 2.0 * good
+        if good > most:
+            return None
+    while good - bad > accuracy * good:
+        middle = 0.5 * (good + bad)
+        good, bad = (middle, bad) if feasible(middle) else (good, middle)
+    return good * (1.0 + accuracy)

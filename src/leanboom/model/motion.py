@@ -1,0 +1,138 @@
+"""The one result every method returns: how the redundant cylinder moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leanboom.errors import InputError
+from leanboom.quantities import ranges
+
+_STEP = ranges.Range("time", above=0)
+_ARRAYS = ("position", "velocity", "acceleration")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Motion of the redundant cylinder: acceleration piecewise constant between equally spaced stages.
+
+    position[k+1] = position[k] + step velocity[k] + step^2 acceleration[k] / 2 and
+    velocity[k+1] = velocity[k] + step acceleration[k], exactly, so the samples are the continuous motion. Only a motion
+    taken up between two stages has a first interval of another length, `lead`.
+    """
+
+    step: float  # Ts [s]
+    position: np.ndarray  # extension of the redundant cylinder beyond its retracted length [m], (stages + 1,)
+    velocity: np.ndarray  # [m/s], (stages + 1,)
+    acceleration: np.ndarray  # [m/s^2], (stages,)
+    method: str  # which method made it, e.g. "dp"
+    cost: str  # what that method minimised, e.g. "ls"
+    status: str = "solved"  # "solved", or a sentence naming what is violated, where, when, by how much
+    solve_s: float = 0.0  # wall time of solving [s], compilation excluded where it was known
+    log: tuple[str, ...] = ()  # how the result came about, one line a step
+    lead: float | None = None  # length of the first interval [s], above 0 and up to `step`; None: `step`
+
+    def __post_init__(self) -> None:
+        ranges.hold(self, "motion", step=_STEP)
+        for name in _ARRAYS:
+            object.__setattr__(self, name, _kept(name, getattr(self, name)))
+        count = self.acceleration.size
+        if count < 1 or self.position.size != count + 1 or self.velocity.size != count + 1:
+            raise InputError(
+                f"motion has {self.position.size} positions, {self.velocity.size} velocities and {count} "
+                "accelerations; must have at least one acceleration, and one more of each of the others"
+            )
+        if self.lead is not None:
+            ranges.hold(self, "motion", lead=ranges.Range("time", above=0, most=self.step))
+
+    def __repr__(self) -> str:
+        return headed(
+            self.status,
+            f"Motion({self.method} minimising {self.cost}: {self.position.size - 1} stages of {self.step:g} s, "
+            f"{self.position[0]:.4f} m -> {self.position[-1]:.4f} m, {self.status})",
+        )
+
+    @property
+    def duration(self) -> float:
+        """How long the motion lasts [s]."""
+        return self.step * self.acceleration.size - self._late
+
+    @property
+    def breaks(self) -> np.ndarray:
+        """Times where the stages meet, both ends included [s]."""
+        return np.maximum(self.step * np.arange(self.acceleration.size + 1) - self._late, 0.0)
+
+    @property
+    def _late(self) -> float:
+        """How much shorter than the others the first interval is [s]."""
+        return 0.0 if self.lead is None else self.step - self.lead
+
+    def at(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position [m], velocity [m/s] and acceleration [m/s^2] at times [s]; the ends are held outside.
+
+        Accelerations at a stage are those of the interval that begins there (the last one at the end).
+        """
+        late = self._late
+        time = np.clip(np.asarray(time, dtype=np.float64), 0.0, self.duration) + late
+        stage = np.minimum((time / self.step + 1e-9).astype(np.int64), self.acceleration.size - 1)
+        dt = time - np.maximum(stage * self.step, late)
+        u = self.acceleration[stage]
+        w = self.velocity[stage]
+        return self.position[stage] + dt * (w + 0.5 * dt * u), w + dt * u, u
+
+
+def headed(status: str, text: str) -> str:
+    """What a result prints as: what it is, behind NOT SOLVED and the reason where it is none."""
+    return text if status == "solved" else f"NOT SOLVED: {status}. {text}"
+
+
+def from_positions(step: float, position: np.ndarray, method: str, cost: str, **fields) -> Motion:
+    """The Motion that starts at rest and passes through given stage positions [m], (stages + 1,).
+
+    Raises:
+        InputError: If the step is not above 0, or a position no finite number.
+    """
+    step, position = ranges.checked("motion.step", step, _STEP), _kept("position", position)
+    velocity = np.zeros_like(position)
+    for k in range(position.size - 1):
+        velocity[k + 1] = 2.0 * (position[k + 1] - position[k]) / step - velocity[k]
+    return from_velocities(step, float(position[0]), velocity, method, cost, **fields)
+
+
+def from_velocities(step: float, start: float, velocity: np.ndarray, method: str, cost: str, **fields) -> Motion:
+    """The Motion with given start [m] and stage velocities [m/s], (stages + 1,).
+
+    Raises:
+        InputError: If the step is not above 0, or the start or a velocity no finite number.
+    """
+    step, velocity = ranges.checked("motion.step", step, _STEP), _kept("velocity", velocity)
+    acceleration = np.diff(velocity) / step
+    moved = np.concatenate([[0.0], np.cumsum(0.5 * step * (velocity[1:] + velocity[:-1]))])
+    return Motion(step, start + moved, velocity, acceleration, method, cost, **fields)
+
+
+def make(step, position, velocity, acceleration, method: str, cost: str, **fields) -> Motion:
+    """The Motion of stage positions [m], velocities [m/s], both (stages + 1,), and accelerations [m/s^2], (stages,).
+
+    Raises:
+        InputError: If the step is not above 0, a number not finite, or the arrays do not fit together.
+    """
+    return Motion(step, position, velocity, acceleration, method, cost, **fields)
+
+
+def _kept(name: str, values: object) -> np.ndarray:
+    """An array of a motion as it is kept: float64, contiguous, read-only and finite."""
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"motion.{name} = {ranges.shown(values)}; must be an array of numbers") from None
+    if array.ndim != 1:
+        raise InputError(f"motion.{name} has the shape {array.shape}; must have one axis, the stages")
+    if not np.isfinite(array).all():
+        k = int(np.argmin(np.isfinite(array)))
+        raise InputError(f"motion.{name} = {array[k]} at stage {k}; must be finite")
+    if array.flags.writeable:
+        array = array.copy()
+        array.setflags(write=False)
+    return array

@@ -1,0 +1,151 @@
+"""A task: which machine moves its tool along which path, and the sampled reference that results.
+
+Paths are given in the machine's frame (x forward, y left, z up) and always start and end at rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from leanboom.components.paths import Braking, Lines, Moved, Part, Path, Spline
+from leanboom.errors import InputError
+from leanboom.model.machine import Machine
+from leanboom.quantities import ranges
+from leanboom.quantities.units import KINDS, slip
+
+__all__ = ["Braking", "Lines", "Moved", "Part", "Path", "Reference", "Spline", "Start", "Task", "sample", "written"]
+
+STARTS = ("smallest", "middle", "best")
+START = f"must be {', '.join(STARTS)}, or a length of the redundant cylinder such as 0.3 m"
+FILTERED = 0.02  # [s], the shortest path with enough samples for a low pass
+
+Key = tuple[str | int, ...]  # where a value is in a task file
+Start = str | float  # "smallest" | "middle" | "best" | length of the redundant cylinder [m]
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A machine, a payload at its tool, a path in time and where the redundant cylinder starts."""
+
+    name: str
+    machine: Machine
+    path: Path
+    payload: float = 0.0  # [kg]
+    start: Start = "smallest"
+    smooth: float | None = None  # low-pass cut-off for the judged redundant motion [Hz]; None: none
+    source: str = field(default="", repr=False, compare=False)  # the file's text
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.machine, Machine):
+            raise InputError(f"machine = {ranges.shown(self.machine)}; must be a machine: leanboom.load_machine(NAME)")
+        if not isinstance(self.path, Path):
+            raise InputError(f"path = {ranges.shown(self.path)}; must be a path such as leanboom.model.task.Lines")
+        ranges.hold(self, "", payload=ranges.LEAST_MASS)
+        try:
+            object.__setattr__(self, "start", start_of(self.start))
+        except ValueError as error:
+            raise InputError(f"start = {ranges.shown(self.start)}; {error}") from None
+        if self.smooth is not None:
+            ranges.hold(self, "", smooth=ranges.CUTOFF)
+        if found := faults(self.path, self.machine, self.start, self.smooth):
+            raise InputError(
+                "\n".join(f"{'.'.join(map(str, key))} = {ranges.shown(v)}; {what}" for key, v, what in found)
+            )
+
+    @property
+    def duration(self) -> float:
+        """Time the path takes [s]."""
+        return self.path.duration
+
+    def __repr__(self) -> str:
+        start = self.start if isinstance(self.start, str) else f"{self.start:g} m"
+        path = self.path
+        points = f" through {len(path.points)} points" if isinstance(path, Lines | Spline) else ""
+        return (
+            f"Task({self.name}: {self.machine.name}, {type(path).__name__.lower()}{points} in {path.duration:g} s, "
+            f"payload {self.payload:g} kg, start {start}" + (f", smooth {self.smooth:g} Hz)" if self.smooth else ")")
+        )
+
+
+def start_of(start: object) -> Start:
+    """Where the redundant cylinder starts: a word of `STARTS`, or a length [m].
+
+    Args:
+        start: The word, a number in [m] or a text such as "0.3 m".
+
+    Raises:
+        ValueError: It is none of these; the text says what it must be.
+    """
+    if isinstance(start, str) and start in STARTS:
+        return start
+    try:
+        return ranges.LEAST_LENGTH.read(start)
+    except ValueError:
+        raise ValueError(START + (slip(start, KINDS["length"]) if isinstance(start, str) else "")) from None
+
+
+def faults(path: Path | None, machine: Machine, start: Start, smooth: float | None) -> list[tuple[Key, object, str]]:
+    """What does not fit together in a task: keys of a file, their values, and what these must be.
+
+    Args:
+        path: The path; None if it is wrong in itself.
+        machine: The machine.
+        start: The start.
+        smooth: Cut-off of the low pass [Hz]; None: none.
+    """
+    found: list[tuple[Key, object, str]] = []
+    if isinstance(path, Lines | Spline) and not machine.geometry.slewing:
+        flat = f"y must be 0, since machine {machine.name} does not slew"
+        found += [(("path", "points", i), point, flat) for i, point in enumerate(path.points) if abs(point[1]) > 1e-9]
+    longest = machine.redundant.stroke
+    if isinstance(start, float) and start > longest:
+        found.append((("start",), start, f"must be from 0 to {longest:.6g} m, the stroke of the extension cylinder"))
+    if path is not None and smooth is not None and path.duration < FILTERED:
+        found.append((("smooth",), smooth, f"needs a path of at least {FILTERED:g} s"))
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """The tool path sampled in time, in the boom's own coordinates (radius from the slewing axis, height).
+
+    All arrays are float64, (samples,), read-only.
+    """
+
+    time: np.ndarray  # [s]
+    point: np.ndarray  # tool position [m], (samples, 3)
+    velocity: np.ndarray  # [m/s], (samples, 3)
+    acceleration: np.ndarray  # [m/s^2], (samples, 3)
+
+
+def written(task: Task) -> Lines | Spline:
+    """The path of a task as a file can hold it.
+
+    Raises:
+        InputError: If the path is made in Python out of others: a part of one, one that moves, one that is left.
+    """
+    if isinstance(task.path, Lines | Spline):
+        return task.path
+    kind = type(task.path).__name__.lower()
+    raise InputError(f"the path of task {task.name} is a {kind} path; files and tables hold lines and splines alone")
+
+
+def sample(task: Task, time: np.ndarray) -> Reference:
+    """Tool position, velocity and acceleration at the given times.
+
+    Args:
+        task: The task whose path is sampled.
+        time: Times [s], (samples,), within [0, duration]; values outside are held at the ends.
+
+    Returns:
+        The reference at those times.
+    """
+    time = np.asarray(time, dtype=np.float64)
+    clamped = np.clip(time, 0.0, task.duration)
+    values = task.path.values(clamped)
+    arrays = [time.copy(), *values]
+    for array in arrays:
+        array.setflags(write=False)
+    return Reference(*arrays)

@@ -1,0 +1,1 @@
+"""Plans: by any method, again from a state under way, and with a receding horizon."""

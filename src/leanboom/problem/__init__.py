@@ -1,0 +1,1 @@
+"""The discretised problem: stages, feasible strokes, and all physics as arrays that kernels take."""

@@ -1,0 +1,1 @@
+"""Quantities at the borders of the package: units, and which values are allowed."""

@@ -1,0 +1,285 @@
+"""Files that hold results: the folder of a comparison, and the page of a reproduction with its figures."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from leanboom.io import folders
+from leanboom.report import figures
+from leanboom.study.papers import experiments, printed_values
+from leanboom.study.papers.experiments import EXPERIMENTS, PATHS, PUMPS, STARTS
+
+if TYPE_CHECKING:
+    from leanboom.study.comparison import Comparison
+    from leanboom.study.papers.experiments import Line
+    from leanboom.study.papers.reproduction import Reproduction
+
+COMPARISON = ("comparison.json", "energies.png", "trajectories.png")
+PAGE, FIGURES = "results.md", "figures"
+
+_TEMPLATE = Path(__file__).parent / "templates" / "results.md"
+_SECTION = re.compile(r"<!-- ([\w-]+) -->\n")
+_HOLE = re.compile(r"\{\{(\w+)\}\}")
+
+
+@contextmanager
+def reserved(out: Path | None) -> Iterator[None]:
+    """Keep a place for the folder of a comparison while it is made; without a place, nothing.
+
+    Args:
+        out: The folder.
+
+    Raises:
+        InputError: The folder holds something else, cannot be written, or another run is about to.
+    """
+    if out is None:
+        yield
+        return
+    _check(out)
+    with folders.reserved(out):
+        yield
+
+
+def _check(out: Path) -> None:
+    folders.check(out, COMPARISON, lambda folder: True, "that of an earlier comparison")
+
+
+def write_comparison(comparison: Comparison, out: Path) -> Path:
+    """Write a comparison's rows, bars and motions.
+
+    Args:
+        comparison: The comparison.
+        out: The folder; new, empty, or that of an earlier comparison.
+
+    Returns:
+        The folder.
+
+    Raises:
+        InputError: The folder holds something else, or cannot be written.
+    """
+    _check(out)
+    text = json.dumps(comparison.json(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    pictures = figures.energies(comparison), figures.trajectories(comparison)
+    folders.put(out, dict(zip(COMPARISON, (text.encode(), *pictures), strict=True)))
+    return out
+
+
+def write_page(result: Reproduction, out: Path) -> Path:
+    """Write the page of a reproduction and its figures.
+
+    Args:
+        result: The reproduction.
+        out: The folder.
+
+    Returns:
+        The page.
+
+    Raises:
+        InputError: The folder cannot be written.
+    """
+    drawn = {f"{FIGURES}/{name}": content for name, content in pictures(result).items()}
+    folders.write(out, drawn | {PAGE: page(result).encode()})
+    return out / PAGE
+
+
+def page(result: Reproduction) -> str:
+    """The page of a reproduction, as Markdown: the sections of `page/results.md` whose experiments were run.
+
+    Args:
+        result: The reproduction.
+    """
+    head, *parts = _SECTION.split(_TEMPLATE.read_text(encoding="utf-8"))
+    text = head
+    for name, section in zip(parts[::2], parts[1::2], strict=True):
+        if name in result.records:
+            holes = _holes(name, result)
+            text += _HOLE.sub(lambda hole, holes=holes: holes[hole[1]], section)
+    return re.sub(r"\n{3,}", "\n\n", text).rstrip("\n") + "\n"
+
+
+def _holes(name: str, result: Reproduction) -> dict[str, str]:
+    """What is filled into an experiment's section."""
+    lines = [line for line in result.lines if line.experiment == name]
+    holes = {"title": EXPERIMENTS[name].title}
+    holes["figures"] = "\n\n".join(f"![{figure}]({FIGURES}/{figure}.png)" for figure in _figures_of(name, result))
+    if name == "sensitivity":
+        groups = _grouped(lines)
+        holes |= {"ranges": _ranges(groups), "verdicts": "\n".join(f"- {text}" for text in verdicts(groups))}
+    elif name in PATHS:
+        holes["energies"] = _energy_table(result.records[name])
+        holes["table"] = _table([line for line in lines if "[kJ]" not in line.row])
+    else:
+        holes["table"] = _table(lines)
+    return holes
+
+
+def pictures(result: Reproduction) -> dict[str, bytes]:
+    """The figures of a reproduction by file name.
+
+    Args:
+        result: The reproduction.
+    """
+    drawn = {}
+    for name in result.records:
+        drawn |= {f"{figure}.png": content for figure, content in _figures_of(name, result).items()}
+    return drawn
+
+
+def _figures_of(name: str, result: Reproduction) -> Mapping[str, bytes]:
+    """The figures that belong to an experiment, by name."""
+    got = result.records[name]
+    lines = [line for line in result.lines if line.experiment == name]
+    if name in ("table2", "table3"):
+        pump = "constant pressure" if name == "table2" else "load sensing"
+        return {
+            name: figures.beside(
+                f"Relative cost, {pump}", [line for line in lines if not line.row.endswith(experiments.FULL)]
+            ),
+            f"{name}-motions": figures.motions({f"loader-triangle-large, {pump}": got}),
+        }
+    if name == "fig8" or (name == "fig10" and "fig8" not in result.records):
+        curves = {}
+        for other, pump in (("fig8", "constant pressure"), ("fig10", "load sensing")):
+            values = [line.ours for line in result.lines if line.experiment == other]
+            if values:
+                nodes = [positions * velocities for positions, velocities in experiments.CONVERGENCE]
+                curves[pump] = nodes, values[:-1], values[-1]
+        return {"convergence": figures.convergence(curves)}
+    if name in PATHS:
+        starts = {
+            start: {row.name: got[f"{start}, {row.name}"] for row in printed_values.SOLUTIONS} for start in STARTS
+        }
+        return {
+            name: figures.path_energies(f"forwarder-{name}", starts),
+            f"{name}-motions": figures.motions({f"forwarder-{name}, start: {s}": rows for s, rows in starts.items()}),
+        }
+    if name == "sensitivity":
+        groups = {
+            what: ([line.ours for line in rows if line.ours is not None], rows[0].printed)
+            for what, rows in _grouped(lines).items()
+        }
+        return {"sensitivity": figures.spread("What depends on assumed values", groups)}
+    return {}
+
+
+def _table(lines: list[Line]) -> str:
+    """Lines as a table; columns without any value are left out."""
+    beside = any(line.printed is not None for line in lines)
+    noted = any(line.why for line in lines)
+    heads = ["row", *(["printed"] if beside else []), "ours", *(["difference"] if beside else [])]
+    heads += ["why"] if noted else []
+    rows = [f"| {' | '.join(heads)} |", "| --- |" + " ---: |" * (len(heads) - 1 - noted) + " --- |" * noted]
+    for line in lines:
+        cells = [_plain(line.row)]
+        digits = 1 if "[%]" in line.row or "[kJ]" in line.row else 3
+        cells += [number(line.printed, digits)] if beside else []
+        cells += [number(line.ours, digits)]
+        cells += [number(line.difference, digits, signed=True)] if beside else []
+        cells += [_plain(line.why)] if noted else []
+        rows.append(f"| {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def _plain(text: str) -> str:
+    """A text for a cell of a table, where nothing in it is markup."""
+    return re.sub(r"([\\`*_\[|])", r"\\\1", html.escape(" ".join(text.split()), quote=False))
+
+
+def number(value: float | None, digits: int = 3, *, signed: bool = False) -> str:
+    """A number for people; "-" where there is none.
+
+    Args:
+        value: The number.
+        digits: Behind the point.
+        signed: Whether to show a plus sign.
+    """
+    if value is None:
+        return "-"
+    text = f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
+    return text.lstrip("+-") if float(text) == 0.0 else text
+
+
+def _energy_table(got: experiments.Records) -> str:
+    """Energies of a path: a row a solution, a column a pump and start."""
+    columns = [(start, pump) for start in STARTS for pump in PUMPS]
+    rows = ["| energy in kJ | " + " | ".join(f"{p.upper()}, {s} start" for s, p in columns) + " |"]
+    rows.append("| --- |" + " ---: |" * len(columns))
+    for row in printed_values.SOLUTIONS:
+        cells = []
+        for start, pump in columns:
+            record = got[f"{start}, {row.name}"]
+            joules = record[PUMPS[pump]]
+            mark = "" if record["status"] == "solved" else "*"
+            cells.append("-" if joules is None else f"{joules / 1e3:.2f}{mark}")
+        rows.append(f"| {row.name} | {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def _grouped(lines: list[Line]) -> dict[str, list[Line]]:
+    """Lines of the sensitivity study by what is varied around, the unvaried first."""
+    groups: dict[str, list[Line]] = {}
+    for line in lines:
+        groups.setdefault(line.row.rsplit(": ", 1)[0], []).append(line)
+    return groups
+
+
+def _ranges(groups: Mapping[str, list[Line]]) -> str:
+    """Ranges of the varied ratios, as a table."""
+    rows = ["| ratio | printed | as bundled | least | most | moved most by |", "| --- |" + " ---: |" * 4 + " --- |"]
+    for what, varied in groups.items():
+        found = [(line.ours, line.row.rsplit(": ", 1)[1]) for line in varied if line.ours is not None]
+        if not found:
+            continue
+        base = found[0][0]
+        values = [value for value, _ in found]
+        moved, most = max((abs(value - base), name) for value, name in found)
+        most = most if moved >= 5e-4 else "-"
+        cells = [what, number(varied[0].printed), number(base), number(min(values)), number(max(values)), most]
+        rows.append(f"| {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def verdicts(groups: Mapping[str, list[Line]]) -> list[str]:
+    """Which conclusions hold in every variation, as sentences.
+
+    Args:
+        groups: Lines by what is varied around, the unvaried first.
+    """
+    said = []
+    for table, pump in (("Table 2", "CP"), ("Table 3", "LS")):
+        rows = {what: [line.ours for line in lines] for what, lines in groups.items() if what.startswith(table)}
+        if not rows or any(value is None for values in rows.values() for value in values):
+            continue
+        orders = [
+            sorted(rows, key=lambda what, i=i: rows[what][i] or 0.0) for i in range(len(next(iter(rows.values()))))
+        ]
+        names = [line.row.rsplit(": ", 1)[1] for line in groups[next(iter(rows))]]
+        other = [name for name, order in zip(names, orders, strict=True) if order != orders[0]]
+        kept = f"{len(orders) - 1 - len(other)} of {len(orders) - 1} variations"
+        but = f", not with: {'; '.join(other)}" if other else ""
+        said.append(f"The order of the rows of {table} stays as bundled in {kept}{but}.")
+        for name in ("Unweighted", "Weighted"):
+            values = next(values for what, values in rows.items() if f"({name})" in what)
+            more = sorted(100.0 * ((value or 0.0) - 1.0) for value in values)
+            range_ = f"{more[0]:.0f} to {more[-1]:.0f} %"
+            said.append(f"Triangle: the {name.lower()} pseudo-inverse needs {range_} more {pump} energy than the best.")
+    for path in PATHS:
+        for pump in ("LS", "CP"):
+            values = [
+                line.ours
+                for what, lines in groups.items()
+                if what.startswith(f"{path}, {pump},")
+                for line in lines
+                if line.ours is not None
+            ]
+            if values:
+                saving = sorted(100.0 * (1.0 - 1.0 / value) for value in values)
+                range_ = f"{saving[0]:.0f} to {saving[-1]:.0f} %"
+                said.append(f"Path {path}: the best saves {range_} of {pump} energy against a pseudo-inverse.")
+    return said

@@ -1,0 +1,277 @@
+"""What is written of a simulated run: numbers as JSON, samples as CSV, and a page that explains them, offline."""
+
+from __future__ import annotations
+
+import json
+import math
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leanboom.components.costs import of_pump
+from leanboom.report import plan_page
+from leanboom.report.plan_charts import COLOURS, PLAN_COLOUR
+from leanboom.simulation.closed_loop import SETTLE, Simulation
+
+SUMMARY, SAMPLES, PAGE = FILES = ("simulation.json", "simulation.csv", "simulation.html")
+POINTS = 1500  # of a chart, at most
+EVENTS_SHOWN = 60
+BALANCE = {
+    "valves": "lost in valves and in the pump's controller",
+    "friction": "lost in friction and at cylinder ends",
+    "oil": "left in compressed oil",
+    "kinetic": "gained by moving bodies",
+    "potential": "gained by raised bodies",
+}
+
+
+def summary(run: Simulation, out: Path | None = None) -> dict[str, Any]:
+    """A run's numbers in SI units, as `closed_loop.json` and `--json` have them; one that is not finite is None.
+
+    Args:
+        run: The run.
+        out: Its folder, if it has one.
+    """
+    return {
+        "task": run.task.name,
+        "pump": run.pump,
+        "method": run.motion.method,
+        "energy_j": _finite(run.energy),
+        "planned_energy_j": _finite(run.planned_energy),
+        "path_accuracy_m": _finite(run.path_accuracy),
+        "balance_error": _finite(run.balance_error),
+        "wall_s": _finite(run.wall_s),
+        "realtime_factor": _finite(run.realtime_factor),
+        "events": [event.json() for event in run.events],
+        "out": None if out is None else str(out),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def columns(run: Simulation) -> dict[str, np.ndarray]:
+    """The columns of `closed_loop.csv` by name, in their order, (samples,) each.
+
+    Args:
+        run: The run.
+    """
+    table = {"time_s": run.time}
+    for j, axis in enumerate("xyz"):
+        table[f"{axis}_m"] = run.tool[:, j]
+        table[f"{axis}_target_m"] = run.tool_target[:, j]
+    names = run.task.machine.names
+    for j, name in enumerate(names):
+        unit = "m" if name == "extension" else "rad"
+        table[f"{name}_{unit}"] = run.joint_position[:, j]
+        table[f"{name}_target_{unit}"] = run.joint_target[:, j]
+        table[f"{name}_{unit}_s"] = run.joint_velocity[:, j]
+    ports = run.command.shape[1] // len(names)
+    for j, name in enumerate(names):
+        table[f"{name}_piston_m"] = run.position[:, j]
+        table[f"{name}_piston_m_s"] = run.velocity[:, j]
+        for port in range(ports):
+            ending = "" if ports == 1 else f"_{'ab'[port]}"
+            table[f"{name}_command{ending}"] = run.command[:, j * ports + port]
+        table[f"{name}_pressure_a_pa"] = run.pressure_a[:, j]
+        table[f"{name}_pressure_b_pa"] = run.pressure_b[:, j]
+        table[f"{name}_force_n"] = run.force[:, j]
+    table |= {"supply_pa": run.supply, "pump_flow_m3_s": run.pump_flow, "power_w": run.power}
+    return table | {"energy_j": run.cumulative}
+
+
+def texts(run: Simulation, out: Path) -> dict[str, str]:
+    """The files of a run by their names.
+
+    Args:
+        run: The run.
+        out: The folder they go to.
+    """
+    table = columns(run)
+    row = ",".join(["%.8g"] * len(table))
+    values = np.stack(list(table.values()), axis=1) + 0.0  # no minus zeros
+    samples = "\n".join([",".join(table), *(row % tuple(sample) for sample in values.tolist())]) + "\n"
+    numbers = json.dumps(summary(run, out), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return {SUMMARY: numbers, SAMPLES: samples, PAGE: page(run)}
+
+
+def page(run: Simulation) -> str:
+    """The page of a run as one HTML document.
+
+    Args:
+        run: The run.
+    """
+    task = run.task
+    holes = {
+        "title": escape(task.name),
+        "subtitle": escape(
+            f"Crane {task.machine.name} · {plan_page.PUMPS[run.pump]} pump · motion by {run.motion.method} · "
+            f"controller {run.controller}"
+        ),
+        "badge": "good" if run.solved else "bad",
+        "verdict": "Incomplete"
+        if not run.complete
+        else "Complete"
+        if run.solved
+        else "Complete, but of no solved plan",
+        "lead": _lead(run),
+        "cards": _cards(run),
+        "events": _events(run),
+        "balance": _balance(run),
+        "legend": _legend(),
+        "how": _how(run),
+    }
+    return plan_page.filled("simulation", holes, _data(run))
+
+
+def _lead(run: Simulation) -> str:
+    begin = "" if run.complete else f"The run ended early: {escape(run.status)}. What is shown is the part before it. "
+    if run.complete and not run.solved:
+        begin = f"The plan that is driven here is not solved: {escape(run.verdict)}. "
+    change = run.change
+    if change is None:
+        more = "beside"
+    elif abs(change) > 5e-4:
+        more = f"{100 * abs(change):.1f} % {'more' if change > 0.0 else 'less'} than"
+    else:
+        more = "as much as"
+    return (
+        f"{begin}Driven by simulated pump, valves and controller, the motion takes <strong>{run.energy / 1e3:.2f} kJ"
+        f"</strong>, {more} the {run.planned_energy / 1e3:.2f} kJ of the plan."
+    )
+
+
+def _cards(run: Simulation) -> str:
+    errors = ", ".join(
+        f"{name} {1e3 * error:.1f} {'mm' if name == 'extension' else 'mrad'}"
+        for name, error in zip(run.task.machine.names, run.joint_error, strict=True)
+    )
+    turning = run.joint_error[:-1]  # the extension slides: it is named among the others
+    cards = [
+        ("Energy, simulated", f"{run.energy / 1e3:.2f} kJ", "supply pressure times flow", " first"),
+        ("Energy, planned", f"{run.planned_energy / 1e3:.2f} kJ", "", ""),
+        ("Path accuracy", f"{1e3 * run.path_accuracy:.0f} mm", "largest, by ISO 9283", ""),
+        ("Largest angle error", f"{1e3 * turning.max():.1f} mrad", errors, ""),
+        ("Energy balance", f"{1e6 * run.balance_error:.1f} ppm", "of the pump's energy not found again", ""),
+        ("Speed", f"{run.realtime_factor:.0f} x", f"real time, {run.wall_s:.2f} s", ""),
+    ]
+    return "".join(
+        f'<div class="card{extra}"><span class="what">{what}</span><span class="value">{value}</span>'
+        f'<span class="more">{more}</span></div>'
+        for what, value, more, extra in cards
+    )
+
+
+def _events(run: Simulation) -> str:
+    if not run.events:
+        return "<p>Nothing: no valve saturated, no chamber cavitated, no end or limit was reached.</p>"
+    body = "".join(
+        f'<tr><td class="n">{event.time:.2f}</td><td class="n">{event.duration:.2f}</td><td>{event.kind}</td>'
+        f"<td>{escape(event.text)}</td></tr>"
+        for event in run.events[:EVENTS_SHOWN]
+    )
+    left = len(run.events) - EVENTS_SHOWN
+    more = f"<p>And {left} more, in {SUMMARY} beside this page.</p>" if left > 0 else ""
+    return (
+        '<div class="scroll"><table><thead><tr><th scope="col" class="n">from [s]</th><th scope="col" class="n">'
+        f'for [s]</th><th scope="col">kind</th><th scope="col">what</th></tr></thead><tbody>{body}</tbody></table>'
+        f"</div>{more}"
+    )
+
+
+def _balance(run: Simulation) -> str:
+    rows = [("given by the pump", run.balance["pump"])] + [(text, run.balance[name]) for name, text in BALANCE.items()]
+    body = "".join(f'<tr><th scope="row">{name}</th><td class="n">{v / 1e3:.3f} kJ</td></tr>' for name, v in rows)
+    return (
+        f'<div class="scroll"><table><tbody>{body}</tbody></table></div><p>What is not found again is '
+        f"{100 * run.balance_error:.4f} % of what the pump gives.</p>"
+    )
+
+
+def _legend() -> str:
+    def item(colour: str, dash: str, text: str) -> str:
+        return (
+            f'<li><svg aria-hidden="true"><line x1="0" x2="30" y1="6" y2="6" stroke="{colour}" stroke-width="2" '
+            f'stroke-dasharray="{dash}"/></svg>{text}</li>'
+        )
+
+    return f'<ul class="legend">{item("#17202b", "", "simulated")}{item("#7b8490", "5 3", "planned")}</ul>'
+
+
+def _how(run: Simulation) -> str:
+    circuit = run.task.machine.circuit
+    return (
+        f"<p>The crane's rigid bodies, friction, chamber pressures, valves and pump were integrated together by a "
+        f"stiff solver; the controller {escape(run.controller)} set the valves every {1e3 * run.time[1]:.3g} ms. "
+        f"Valves answer after {1e3 * circuit.delay:g} ms, and are watched for {SETTLE:g} s after the path's end. "
+        f"Values that no data sheet gives, such as the oil's bulk modulus ({circuit.bulk_modulus / 1e6:g} MPa), are "
+        f"assumed: see the machine file's section simulation.</p><p>The charts show {POINTS} instants at most; "
+        f"{SAMPLES}, beside this page, holds them all.</p>"
+        if run.time.size > 1
+        else "<p>The run ended at once.</p>"
+    )
+
+
+def _data(run: Simulation) -> dict[str, Any]:
+    at = np.unique(np.linspace(0, run.time.size - 1, min(POINTS, run.time.size)).round().astype(int))
+    plan, last = run.planned, run.planned.time.size - 1
+    there = np.minimum(at, last)
+    after = at > last
+    supply, power, energy = of_pump(
+        run.pump,
+        (plan.supply_ls, plan.power_ls, plan.cumulative_ls),
+        (plan.supply_cp, plan.power_cp, plan.cumulative_cp),
+    )
+
+    def planned(values: np.ndarray, scale: float, rest: bool = False) -> np.ndarray:
+        return scale * np.where(after, 0.0, values[there]) if rest else scale * values[there]
+
+    pump = [
+        _chart("Flow", "flow", "l/min", [(6e4 * run.pump_flow[at], PLAN_COLOUR)], planned(plan.pump_flow, 6e4, True)),
+        _chart("Supply pressure", "pressure", "MPa", [(1e-6 * run.supply[at], PLAN_COLOUR)], planned(supply, 1e-6)),
+        _chart("Power", "power", "kW", [(1e-3 * run.power[at], PLAN_COLOUR)], planned(power, 1e-3, True)),
+        _chart("Energy so far", "energy", "kJ", [(1e-3 * run.cumulative[at], PLAN_COLOUR)], planned(energy, 1e-3)),
+    ]
+    joints: dict[str, list] = {"Positions": [], "Errors": [], "Piston velocities": []}
+    cylinders: dict[str, list] = {"Chamber pressures": [], "Valve commands": []}
+    commands = run.command.reshape(run.time.size, len(run.task.machine.names), -1)
+    for j, name in enumerate(run.task.machine.names):
+        title, colour = name.capitalize(), COLOURS[name]
+        unit, small = ("m", "mm") if name == "extension" else ("rad", "mrad")
+        joints["Positions"].append(
+            _chart(title, "position", unit, [(run.joint_position[at, j], colour)], run.joint_target[at, j])
+        )
+        error = 1e3 * (run.joint_position[at, j] - run.joint_target[at, j])
+        joints["Errors"].append(_chart(title, "error", small, [(error, colour)]))
+        velocity = planned(plan.velocity[:, j], 1.0, True)
+        joints["Piston velocities"].append(_chart(title, "velocity", "m/s", [(run.velocity[at, j], colour)], velocity))
+        chambers = [(1e-6 * run.pressure_a[at, j], colour), (1e-6 * run.pressure_b[at, j], colour)]
+        counted = planned(plan.pressure[:, j], 1e-6, True)
+        cylinders["Chamber pressures"].append(_chart(title, "pressure", "MPa", chambers, counted))
+        ports = [(commands[at, j, port], colour) for port in range(commands.shape[2])]
+        cylinders["Valve commands"].append(_chart(title, "command", "", ports))
+    return {
+        "time": _rounded(run.time[at]),
+        "pump": pump,
+        "joints": [{"title": name, "charts": group} for name, group in joints.items()],
+        "cylinders": [{"title": name, "charts": group} for name, group in cylinders.items()],
+    }
+
+
+def _chart(
+    title: str, axis: str, unit: str, found: list[tuple[np.ndarray, str]], planned: np.ndarray | None = None
+) -> dict[str, Any]:
+    """One chart: what happened, for ports A and B where there are two, and the plan behind it."""
+    names = ["simulated"] if len(found) == 1 else ["piston side", "rod side"]
+    lines = [] if planned is None else [{"name": "planned", "values": planned, "colour": "#7b8490", "dash": "5px,3px"}]
+    for name, (values, colour), dash in zip(names, found, ("", "2px,2px"), strict=False):
+        lines.append({"name": name, "values": values, "colour": colour, "dash": dash})
+    drawn = [{**line, "values": _rounded(line["values"])} for line in lines]
+    return {"title": title, "axis": axis, "unit": unit, "lines": drawn}
+
+
+def _rounded(values: np.ndarray) -> list[float | None]:
+    return [float(f"{value:.5g}") if math.isfinite(value) else None for value in np.asarray(values).tolist()]

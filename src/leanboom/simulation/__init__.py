@@ -1,0 +1,1 @@
+"""The closed loop: bodies, oil, valves, pump and controller following a plan."""

@@ -1,0 +1,317 @@
+"""The closed loop: a planned motion driven by pump, valves and controller, and what that takes.
+
+Every 2 ms the controller sees cylinders and targets and sets the valves; the plant moves on by itself in between. The
+plan is what the judge makes of the motion. After the path's end the crane is held for a second, since valves are
+late. Whatever ends a run early, the part before it is kept and marked incomplete.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from leanboom.components.pump_power import shaft_of
+from leanboom.components.valves import MobileValve
+from leanboom.errors import InputError
+from leanboom.evaluation.evaluate import Evaluation, evaluate
+from leanboom.formulas import hydraulics, kinematics
+from leanboom.model.motion import Motion, headed
+from leanboom.model.task import Task, sample
+from leanboom.simulation import controllers, events, path_accuracy, plant
+from leanboom.simulation.adaptive_robust import AdaptiveRobust
+from leanboom.simulation.controllers import DeadZoneInverse, Factory, Rig, Sample
+from leanboom.simulation.events import Event
+from leanboom.simulation.integrator import TOLERANCE, Integrator, SolverError
+from leanboom.simulation.plant import Plant
+from leanboom.simulation.valve_sections import Spools
+
+PUMPS = ("ls", "cp")
+SETTLE = 1.0  # [s], the crane is watched after its path has ended
+NEXT_TO_NOTHING = 0.01  # share of a run's energy: a plan of less is not compared with it
+REPORTED = 500  # samples between two reports of progress
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulation:
+    """A motion driven in closed loop. Arrays are (samples,) or (samples, cylinders), joint order."""
+
+    task: Task
+    motion: Motion
+    pump: str  # "ls" or "cp"
+    controller: str  # its class
+    planned: Evaluation  # what the judge makes of the motion
+    status: str  # `complete`, or why the run ended early
+    events: tuple[Event, ...]  # in the order of their times
+    time: np.ndarray  # [s], (samples,)
+    tool: np.ndarray  # [m], (samples, 3)
+    tool_target: np.ndarray  # [m], (samples, 3)
+    joint_position: np.ndarray  # [rad] or [m], (samples, cylinders)
+    joint_target: np.ndarray  # (samples, cylinders)
+    joint_velocity: np.ndarray
+    position: np.ndarray  # of the pistons, beyond retracted [m]
+    velocity: np.ndarray  # [m/s]
+    command: np.ndarray  # of the valves, -1 to 1; (samples, cylinders), twice as many columns with two ports each
+    pressure_a: np.ndarray  # [Pa]
+    pressure_b: np.ndarray  # [Pa]
+    force: np.ndarray  # of the pressures on the pistons [N]
+    supply: np.ndarray  # [Pa], (samples,)
+    pump_flow: np.ndarray  # [m^3/s], (samples,)
+    power: np.ndarray  # the pump takes [W], (samples,)
+    cumulative: np.ndarray  # energy so far [J], (samples,)
+    balance: dict[str, float]  # where the energy given to the oil has gone [J]
+    wall_s: float  # time the run took, without building the plant and judging the plan
+
+    @property
+    def complete(self) -> bool:
+        """Whether the run reached its end."""
+        return self.status == "complete"
+
+    @property
+    def verdict(self) -> str:
+        """`solved`, or as a sentence why the run ended early, or what is wrong with the plan it drove."""
+        return self.planned.status_with(self.pump) if self.complete else self.status
+
+    @property
+    def solved(self) -> bool:
+        """Whether the run reached its end, and drove a plan that keeps every limit and that the pump can deliver."""
+        return self.verdict == "solved"
+
+    @property
+    def energy(self) -> float:
+        """What the pump took [J]."""
+        return float(self.cumulative[-1])
+
+    @property
+    def planned_energy(self) -> float:
+        """What the judge says the pump takes [J]."""
+        return self.planned.energy(self.pump)
+
+    @property
+    def change(self) -> float | None:
+        """Share by which the pump took more than planned; None where there is nothing to compare.
+
+        That is after a run that ended early, beside a plan that breaks a limit, and beside one of next to no energy.
+        """
+        if not (self.complete and self.planned.feasible and self.planned_energy > NEXT_TO_NOTHING * self.energy):
+            return None
+        return self.energy / self.planned_energy - 1.0
+
+    @property
+    def balance_error(self) -> float:
+        """Share of the pump's work that is not found again in the crane, its valves and its oil."""
+        given = self.balance["pump"]
+        left = sum(value for name, value in self.balance.items() if name != "pump")
+        return abs(given - left) / given if given > 0.0 else abs(left)
+
+    @property
+    def joint_error(self) -> np.ndarray:
+        """Largest distance of every joint from its target, (cylinders,) [rad], [m] for the extension."""
+        return np.abs(self.joint_position - self.joint_target).max(axis=0)
+
+    @property
+    def path_accuracy(self) -> float:
+        """Largest distance of the tool's path from the commanded one, by ISO 9283 [m]."""
+        return path_accuracy.path_accuracy(self.time, self.tool_target, self.tool)
+
+    @property
+    def realtime_factor(self) -> float:
+        """Simulated seconds in a second of computing."""
+        return float(self.time[-1]) / max(self.wall_s, 1e-9)
+
+    def __repr__(self) -> str:
+        return headed(
+            self.verdict,
+            f"Simulation({self.task.name}, {self.motion.method}, {self.pump}: {self.energy / 1e3:.2f} kJ, planned "
+            f"{self.planned_energy / 1e3:.2f} kJ, path accuracy {self.path_accuracy:.3f} m, {len(self.events)} "
+            f"events, {self.status})",
+        )
+
+
+def simulate(
+    task: Task,
+    motion: Motion,
+    pump: str = "ls",
+    *,
+    controller: Factory | None = None,
+    tolerance: float = TOLERANCE,
+    progress: Progress | None = None,
+) -> Simulation:
+    """Drive a motion in closed loop with the full hydraulics.
+
+    Args:
+        task: The task the motion belongs to.
+        motion: Motion of the redundant cylinder, from any method.
+        pump: "ls" load-sensing or "cp" constant pressure.
+        controller: A controller's class, see `controllers`; None: the papers' controller for the machine's valve.
+        tolerance: Relative tolerance of the solver.
+        progress: Called with what happens and the share done.
+
+    Returns:
+        The run. If the solver gives up it holds what came before, and says so in `status`.
+
+    Raises:
+        InputError: The motion does not last as long as the task, or leaves the crane's reach; the pump does not exist;
+            or the controller's answer cannot be used.
+    """
+    if pump not in PUMPS:
+        raise InputError(f"pump = {pump}; must be one of {', '.join(PUMPS)}")
+    planned = evaluate(task, motion)
+    if not planned.followed:
+        raise InputError(f"the motion leaves the crane's reach: {planned.status}; simulate one that keeps its path")
+    tell = progress or (lambda text, share: None)
+    tell("building the plant", 0.0)
+    crane_plant = plant.build(task)
+    factory = controller or _papers_controller(task)
+    step = float(planned.time[1] - planned.time[0])
+    start = planned.joint_position[0]
+    rig = Rig(crane_plant, start.copy(), step)
+    chosen = factory(rig)
+    began = clock.perf_counter()
+    run = _Run(crane_plant, planned, pump, step, tolerance)
+    status = run.drive(chosen, tell)
+    result = _result(run, motion, pump, factory, status)
+    return replace(result, wall_s=clock.perf_counter() - began)
+
+
+def _papers_controller(task: Task) -> Factory:
+    """The controller that the papers use with the machine's kind of valve."""
+    return DeadZoneInverse if isinstance(task.machine.valve, MobileValve) else AdaptiveRobust
+
+
+class _Run:
+    """One run, sample by sample, and what it records."""
+
+    def __init__(self, crane_plant: Plant, planned: Evaluation, pump: str, step: float, tolerance: float):
+        self.plant, self.planned, self.step = crane_plant, planned, step
+        machine = planned.task.machine
+        self.samples = planned.time.size - 1 + round(SETTLE / step)
+        self.spools = Spools(machine, step)
+        delay = self.spools.delay
+        self.edges = np.zeros((self.samples + delay + 2, 4 * len(machine.cylinders)))
+        self.commands = np.zeros((self.samples + 1, self.spools.count))
+        start = planned.joint_position[0]
+        state = controllers.resting(crane_plant, controllers.static_loads(crane_plant, start))
+        state[crane_plant.layout.q] = start
+        if pump == "cp":
+            state[crane_plant.layout.supply] = machine.pump.constant_pressure
+        self.states = np.empty((self.samples + 1, crane_plant.layout.size))
+        self.states[0] = state
+        self.reached = 0
+        self.load_sensing = pump == "ls"
+        self.integrator = Integrator(
+            crane_plant, state, self.edges, load_sensing=self.load_sensing, step=step, ahead=delay, tolerance=tolerance
+        )
+        shortest = [
+            plant.retracted(c, joint.lower, joint.upper)[0]
+            for c, joint in zip(machine.cylinders, machine.joints, strict=True)
+        ]
+        self.targets = planned.length - np.array(shortest)
+
+    def drive(self, controller: controllers.Controller, tell: Progress) -> str:
+        """Run to the end; `complete`, or why it ended early."""
+        layout, n, planned = self.plant.layout, self.plant.layout.n, self.planned
+        delay, last = self.spools.delay, planned.time.size - 1
+        still = np.zeros(n)
+        for k in range(self.samples):
+            if k % REPORTED == 0:
+                tell("simulating", k / self.samples)
+            state, moved, at = self.states[k], self.integrator.measure(), min(k, last)
+            now = Sample(
+                time=k * self.step,
+                joint=state[layout.q],
+                position=moved[:n],
+                velocity=moved[n:],
+                pressure_a=state[layout.a],
+                pressure_b=state[layout.b],
+                supply=float(state[layout.supply]),
+                target_position=self.targets[at],
+                target_velocity=planned.velocity[at] if k < last else still,
+                target_acceleration=planned.acceleration[at] if k < last else still,
+            )
+            np.clip(self._answer(controller, now), -1.0, 1.0, out=self.commands[k])
+            self.edges[k + delay + 1] = self.spools.move(self.commands[k])
+            try:
+                self.states[k + 1] = self.integrator.advance(k + 1)
+            except SolverError as error:
+                return f"incomplete: {error} at {k * self.step:.3f} s"
+            self.reached = k + 1
+        self.commands[-1] = self.commands[-2]
+        return "complete"
+
+    def _answer(self, controller: controllers.Controller, now: Sample) -> np.ndarray:
+        answer = np.asarray(controller.command(now), dtype=np.float64)
+        if answer.shape != (self.spools.count,) or not np.isfinite(answer).all():
+            name = type(controller).__name__
+            raise InputError(
+                f"controller {name} answers {answer.tolist()} at {now.time:.3f} s; must be {self.spools.count} finite "
+                "commands from -1 to 1"
+            )
+        return answer
+
+    def recorded(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """States up to where the run came, and what is observed in them, (samples,) or (samples, cylinders)."""
+        states = self.states[: self.reached + 1]
+        inputs = np.empty((states.shape[0], self.edges.shape[1] + 1))
+        inputs[:, :-1], inputs[:, -1] = self.edges[: states.shape[0]], float(self.load_sensing)
+        values = self.plant.observe(states.T, inputs.T)
+        observed = {name: np.asarray(value.full()).T.copy() for name, value in zip(plant.OBSERVED, values, strict=True)}
+        moved = np.asarray(self.plant.measure(states.T).full()).T
+        n = self.plant.layout.n
+        return states, {**observed, "position": moved[:, :n].copy(), "velocity": moved[:, n:].copy()}
+
+
+def _result(
+    run: _Run, motion: Motion, pump: str, factory: Any, status: str
+) -> Simulation:  # one place where everything recorded is named
+    planned, layout = run.planned, run.plant.layout
+    task, machine = planned.task, planned.task.machine
+    states, observed = run.recorded()
+    count = states.shape[0]
+    time = run.step * np.arange(count)
+    q = states[:, layout.q].copy()
+    g = machine.geometry
+    r, z = kinematics.tool_point(q[:, -3], q[:, -2], q[:, -1], g.base_x, g.base_z, g.boom, g.offset, g.outer)
+    turned = q[:, 0] if g.slewing else np.zeros(count)
+    target = planned.joint_position[np.minimum(np.arange(count), planned.time.size - 1)]
+    supply, flow = states[:, layout.supply].copy(), observed["pump_flow"][:, 0]
+    energies = states[:, layout.energy]
+    # What is in proportion to p Q was integrated with the motion; the losses of an efficiency map follow here.
+    shaft = shaft_of(machine.pump)
+    losses = hydraulics.pump_losses(supply, flow, shaft.idle, shaft.leak, shaft.drag)
+    lost = np.concatenate([[0.0], np.cumsum(0.5 * run.step * (losses[1:] + losses[:-1]))])
+    kinetic, potential = (np.asarray(value.full()).ravel() for value in run.plant.energy(states[[0, -1]].T))
+    balance = dict(zip(plant.ENERGIES, energies[-1].tolist(), strict=True))
+    balance |= {"kinetic": float(kinetic[1] - kinetic[0]), "potential": float(potential[1] - potential[0])}
+    arrays = {
+        "time": time,
+        "tool": np.stack([r * np.cos(turned), r * np.sin(turned), z], axis=1),
+        "tool_target": sample(task, time).point,
+        "joint_position": q,
+        "joint_target": target,
+        "joint_velocity": states[:, layout.v].copy(),
+        "position": observed["position"],
+        "velocity": observed["velocity"],
+        "command": run.commands[:count].copy(),
+        "pressure_a": states[:, layout.a].copy(),
+        "pressure_b": states[:, layout.b].copy(),
+        "force": observed["force"],
+        "supply": supply,
+        "pump_flow": flow,
+        "power": hydraulics.pump_power(supply, flow, *shaft),
+        "cumulative": energies[:, 0] / shaft.efficiency + lost,
+    }
+    for array in arrays.values():
+        array.setflags(write=False)
+    found = events.find(task, arrays, observed, planned)
+    if status != "complete":
+        found = (*found, Event("solver", "plant", float(time[-1]), 0.0, status))
+    return Simulation(
+        task=task, motion=motion, pump=pump, controller=getattr(factory, "__name__", type(factory).__name__),
+        planned=planned, status=status, events=found, balance=balance, wall_s=0.0, **arrays,
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Studies: methods compared, and the papers' experiments reproduced."""

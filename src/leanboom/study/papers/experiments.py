@@ -1,0 +1,421 @@
+"""The papers' experiments: which solutions each needs, and what is read off them.
+
+An experiment is its jobs, by name, and a function from their records to lines that stand beside the printed values.
+Jobs of several experiments that agree are solved once. All solutions start and are filtered (5 Hz, after planning) as
+in the papers; the grids are those of `plan`, but for the convergence studies and the sweep of the sensitivity study.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from leanboom.io import loading
+from leanboom.model.task import Task
+from leanboom.study.papers import printed_values
+from leanboom.study.papers.variations import heavier, lengthened, moved, resized, rubbed, turned
+
+GRID = (201, 101)
+SWEEP_GRID = (121, 61)
+CONVERGENCE = ((21, 11), (41, 21), (81, 41), (125, 101), (161, 101), (241, 151), (321, 201))
+SIZES = ("large", "medium", "small")
+PATHS = ("horizontal", "vertical", "half-cycle")
+STARTS = ("smallest", "middle")
+PUMPS = {"ls": "energy_ls_j", "cp": "energy_cp_j"}
+DRIVEN = {"ls": "driven_ls_j", "cp": "driven_cp_j"}  # energies of the closed-loop simulation
+FULL = " (full model)"  # ends the names of rows that it gives
+COARSE = "coarse"  # one sweep on one grid: no tubes, no polish
+
+Record = Mapping[str, Any]
+Records = Mapping[str, Record]
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """A solution that an experiment needs."""
+
+    task: Task
+    method: str  # a name of `planner.METHODS`, or COARSE
+    cost: str
+    grid: tuple[int, int] = GRID
+
+    @property
+    def driven(self) -> bool:
+        """Whether its motion is simulated in closed loop as well: all but sweeps over grids and parameters are."""
+        return self.method != COARSE and self.grid == GRID
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A printed value and ours; either may be missing."""
+
+    experiment: str
+    row: str
+    printed: float | None
+    ours: float | None
+    why: str = ""  # why they differ, or why there is none of ours
+
+    @property
+    def difference(self) -> float | None:
+        """Ours less printed."""
+        return None if self.ours is None or self.printed is None else self.ours - self.printed
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """One table, figure or claim of the papers."""
+
+    title: str
+    jobs: Callable[[], dict[str, Job]]
+    lines: Callable[[Records], list[Line]]
+
+
+def ratio(over: Record, under: Record, quantity: str) -> float | None:
+    """One solution's quantity over another's; None where either has none.
+
+    Args:
+        over, under: Records.
+        quantity: A key of both.
+    """
+    a, b = over[quantity], under[quantity]
+    return None if a is None or not b else a / b
+
+
+def percent(new: Record, old: Record, quantity: str) -> float | None:
+    """Change from one solution to another in percent; None where either has none.
+
+    Args:
+        new, old: Records.
+        quantity: A key of both.
+    """
+    change = ratio(new, old, quantity)
+    return None if change is None else 100.0 * (change - 1.0)
+
+
+# The papers' tasks.
+
+
+@functools.cache
+def _triangle_task(size: str) -> Task:
+    return loading.load_task(f"loader-triangle-{size}", start="smallest")
+
+
+@functools.cache
+def _forwarder_task(path: str, start: str) -> Task:
+    return loading.load_task(f"forwarder-{path}", start=start)
+
+
+# Tables 2 and 3.
+
+CLOSE = 0.02  # ratios that differ by less need no reason
+UNPRINTED = "pin distances and triangle corners are not printed"
+SIDES = "here the tilt cylinder holds the load on its piston side: see below"
+SIMULATED = "pin distances, corners, valves and friction are not printed"
+MEASURED = "printed: measured on the crane; here: simulated, valve data assumed"
+MODELLED = "printed: measured on the crane; here: planned, masses, friction and path assumed"
+WHY = {
+    ("table2", "fmincon (CP)"): "another local method: this one ends at the optimum, the printed one did not",
+    ("table2", "Act. p-inv. (Weighted)"): "no reading of the weights gives 1.308: see baselines",
+    ("table3", "DIDO (LS)"): "another local method, another local optimum",
+    ("table3", "fmincon (LS)"): "another local method, another local optimum",
+    ("table3", "Act. p-inv. (Weighted)"): "reading of the weights; geometry",
+}
+
+
+def _line(experiment: str, row: str, value: float | None, ours: float | None, why: str, close: float = CLOSE) -> Line:
+    """A line with its reason, if it differs enough to need one."""
+    apart = ours is not None and value is not None and abs(ours - value) >= close
+    return Line(experiment, row, value, ours, why if apart else "")
+
+
+def _table_jobs(rows: tuple[printed_values.Entry, ...]) -> dict[str, Job]:
+    task = _triangle_task("large")
+    return {row.name: Job(task, row.method, row.cost) for row in rows}
+
+
+def _table_lines(name: str, rows: tuple[printed_values.Entry, ...], pump: str, got: Records) -> list[Line]:
+    best = got[rows[0].name]
+    lines = []
+    for row in rows:
+        mine = got[row.name]
+        ours = ratio(mine, best, PUMPS[pump])
+        if ours is None:
+            lines.append(Line(name, row.name, row.value, None, mine["status"]))
+        else:
+            line = _line(name, row.name, row.value, ours, WHY.get((name, row.name), UNPRINTED))
+            lines.append(replace(line, why="; ".join(filter(None, (line.why, _broken(mine))))))
+    for row in rows:
+        ours = ratio(got[row.name], best, DRIVEN[pump])
+        why = WHY.get((name, row.name), SIMULATED)
+        lines.append(_line(name, row.name + FULL, row.full, ours, why))
+    return lines
+
+
+def _broken(record: Record) -> str:
+    """What a record's motion breaks, in few words; nothing if it keeps every limit."""
+    if record["status"] == "solved":
+        return ""
+    limit = re.search(r"(position|velocity|acceleration) of (\w+)", record["status"])
+    return f"breaks the {limit[1]} limit of {limit[2]}" if limit else record["status"]
+
+
+# Figures 8 and 10: cost over grid size.
+
+
+def _convergence_jobs(cost: str) -> dict[str, Job]:
+    task = _triangle_task("large")
+    jobs = {f"{p}x{v}": Job(task, COARSE, cost, (p, v)) for p, v in CONVERGENCE}
+    return jobs | {"plan": Job(task, "dp", cost)}
+
+
+def _convergence_lines(name: str, pump: str, got: Records) -> list[Line]:
+    densest = got["{}x{}".format(*CONVERGENCE[-1])]
+    lines = []
+    for grid, record in got.items():
+        row = "refined and polished" if grid == "plan" else f"grid {grid}"
+        lines.append(
+            Line(name, f"{row}: cost over that of the densest grid", None, ratio(record, densest, PUMPS[pump]))
+        )
+    return lines
+
+
+# Cylinder sizes, sections 6.2 and 6.3, and the three triangles.
+
+CHANGES = {"tilt 80/56": ("tilt", 0.080, 0.056), "extension 45/30": ("extension", 0.045, 0.030)}
+
+
+def _sizing_jobs() -> dict[str, Job]:
+    jobs = {}
+    for size in SIZES:
+        task = _triangle_task(size)
+        for cost in PUMPS:
+            jobs[f"{size}, {cost}"] = Job(task, "dp", cost)
+            for change, cylinder in CHANGES.items():
+                other = replace(task, machine=resized(task.machine, *cylinder))
+                jobs[f"{change}, {size}, {cost}"] = Job(other, "dp", cost)
+        jobs[f"{size}, pointwise"] = Job(task, "sns-actuator", "velocity")
+    task = _triangle_task("large")
+    other = replace(task, machine=turned(task.machine))
+    smaller = replace(task, machine=resized(other.machine, *CHANGES["tilt 80/56"]))
+    for cost in PUMPS:
+        jobs[f"turned, {cost}"] = Job(other, "dp", cost)
+        jobs[f"turned, tilt 80/56, {cost}"] = Job(smaller, "dp", cost)
+    return jobs
+
+
+def _sizing_lines(got: Records) -> list[Line]:
+    lines = []
+    said = {"tilt 80/56": printed_values.TILT_ROD, "extension 45/30": printed_values.EXTENSION_BORE}
+    for change, claims in said.items():
+        why = SIDES if change == "tilt 80/56" else UNPRINTED
+        for size in SIZES:
+            pairs = {pump: (got[f"{change}, {size}, {pump}"], got[f"{size}, {pump}"]) for pump in PUMPS}
+            values = {key: by_size[size] for key, by_size in claims.items() if size in by_size}
+            lines += _changes(f"{change}, {size} triangle", pairs, values, why)
+    pairs = {pump: (got[f"turned, tilt 80/56, {pump}"], got[f"turned, {pump}"]) for pump in PUMPS}
+    values = {key: by_size["large"] for key, by_size in printed_values.TILT_ROD.items()}
+    lines += _changes("tilt 80/56, mounted the other way round, large triangle", pairs, values, UNPRINTED)
+    for pump, key in PUMPS.items():
+        for size in SIZES:
+            best, pointwise = got[f"{size}, {pump}"], got[f"{size}, pointwise"]
+            row = f"{size} triangle: {pump.upper()} energy saved against the unweighted p-inv."
+            saving = percent(best, pointwise, key)
+            lines.append(Line("sizing", f"{row} [%]", None, None if saving is None else -saving))
+            both = best[key], pointwise[key]
+            less = None if None in both else (both[1] - both[0]) / 1e3
+            lines.append(Line("sizing", f"{row} [kJ]", None, less))
+    return lines
+
+
+def _changes(
+    what: str, pairs: Mapping[str, tuple[Record, Record]], values: Mapping[str, float], why: str
+) -> list[Line]:
+    """What a change of a cylinder does, in percent; pairs are the new and old optimum of each pump."""
+    lines = []
+    for name, key, pump, quantity in (
+        ("CP flow", "flow", "cp", "flow_m3"),
+        ("highest pressure of the CP optimum", "pressure", "cp", "pressure_pa"),
+        ("LS energy", "ls", "ls", "energy_ls_j"),
+        ("highest pressure of the LS optimum", "", "ls", "pressure_pa"),
+    ):
+        ours = percent(*pairs[pump], quantity)
+        lines.append(_line("sizing", f"{what}: change of {name} [%]", values.get(key), ours, why, close=1.0))
+    return lines
+
+
+# The 4-DOF paper's paths, Figures 10 to 12 and A4 to A6.
+
+
+def _path_jobs(path: str) -> dict[str, Job]:
+    return {
+        f"{start}, {row.name}": Job(_forwarder_task(path, start), row.method, row.cost)
+        for start in STARTS
+        for row in printed_values.SOLUTIONS
+    }
+
+
+def _path_lines(path: str, got: Records) -> list[Line]:
+    lines = []
+    for start in STARTS:
+        mine = {row.name: got[f"{start}, {row.name}"] for row in printed_values.SOLUTIONS}
+        for pump, key in PUMPS.items():
+            where = f"{pump.upper()}, {start} start"
+            for name, record in mine.items():
+                joules = record[key]
+                ours = None if joules is None else joules / 1e3
+                lines.append(Line(path, f"{where}: {name} [kJ]", None, ours, _broken(record)))
+            best = mine["DP (LS)" if pump == "ls" else "DP (CP)"]
+            for name in ("P-inv. (j.)", "P-inv. (a.)"):
+                value = printed_values.EXCESS.get((path, pump)) if start == "smallest" else None
+                ours = ratio(mine[name], best, key)
+                lines.append(_line(path, f"{where}: {name} over the best", value, ours, MODELLED, close=0.05))
+        optimum = got[f"{start}, DP (CP)"]["energy_cp_j"], got[f"{start}, DP (LS)"]["energy_ls_j"]
+        value = printed_values.CP_OVER_LS.get(path) if start == "smallest" else None
+        row = f"{start} start: best CP energy over best LS energy"
+        lines.append(_line(path, row, value, _over(*optimum), MODELLED, close=0.05))
+        value = printed_values.CP_BEST_OVER_LS_POINTWISE.get(path) if start == "smallest" else None
+        both = optimum[0], mine["P-inv. (a.)"]["energy_ls_j"]
+        row = f"{start} start: best CP energy over LS energy of P-inv. (a.)"
+        lines.append(_line(path, row, value, _over(*both), MODELLED, close=0.05))
+    return lines
+
+
+def _tracking_jobs() -> dict[str, Job]:
+    return {
+        f"{path}, {row.name}": Job(_forwarder_task(path, "smallest"), row.method, row.cost)
+        for path in PATHS
+        for row in printed_values.SOLUTIONS
+    }
+
+
+def _tracking_lines(got: Records) -> list[Line]:
+    """Table 4, the largest path error of every solution by ISO 9283 [m]."""
+    lines = []
+    for name, record in got.items():
+        path, solution = name.split(", ")
+        for pump, value in zip(("ls", "cp"), printed_values.TABLE4[path, solution], strict=True):
+            row = f"{path}, {pump.upper()}: {solution} [m]"
+            lines.append(_line("tracking", row, value, record[f"accuracy_{pump}_m"], MEASURED))
+    return lines
+
+
+def _over(a: float | None, b: float | None) -> float | None:
+    return None if a is None or not b else a / b
+
+
+# Sensitivity to what the papers do not print.
+
+SWEPT = ("ls", "cp", "velocity", "actuator")
+
+
+@functools.cache
+def variations() -> Mapping[str, Task]:
+    """The varied triangle tasks by name, the unvaried first."""
+    base = _triangle_task("large")
+    tasks = {"as bundled": base}
+    for dead in (0.20, 0.35):
+        tasks[f"dead length {dead:.2f} m"] = replace(base, machine=lengthened(base.machine, dead))
+    tasks["tilt cylinder the other way round"] = replace(base, machine=turned(base.machine))
+    for factor in (0.8, 1.2):
+        tasks[f"masses {100 * (factor - 1):+.0f} %"] = heavier(base, factor)
+    for x, z in ((0.2, 0.0), (0.0, 0.4), (0.0, -0.3)):
+        tasks[f"triangle moved by ({x:g}, {z:g}) m"] = moved(base, x, z)
+    return tasks
+
+
+@functools.cache
+def path_variations(path: str) -> Mapping[str, Task]:
+    """The varied tasks of a forwarder path by name, the unvaried first.
+
+    Args:
+        path: One of `PATHS`.
+    """
+    base = _forwarder_task(path, "smallest")
+    tasks = {"as bundled": base}
+    for factor in (0.8, 1.2):
+        tasks[f"masses {100 * (factor - 1):+.0f} %"] = heavier(base, factor)
+    for factor in (0.5, 2.0):
+        tasks[f"friction x {factor:g}"] = rubbed(base, factor)
+    return tasks
+
+
+def _sensitivity_jobs() -> dict[str, Job]:
+    jobs = {}
+    for name, task in variations().items():
+        for cost in SWEPT:
+            jobs[f"loader, {name}, {cost}"] = Job(task, "dp", cost, SWEEP_GRID)
+        for row in printed_values.TABLE2:
+            if row.method.startswith("sns"):
+                jobs[f"loader, {name}, {row.method}"] = Job(task, row.method, row.cost)
+    for path in PATHS:
+        for name, task in path_variations(path).items():
+            for pump in PUMPS:
+                jobs[f"{path}, {name}, {pump}"] = Job(task, "dp", pump, SWEEP_GRID)
+            for row in printed_values.SOLUTIONS:
+                if row.method.startswith("sns"):
+                    jobs[f"{path}, {name}, {row.method}"] = Job(task, row.method, row.cost)
+    return jobs
+
+
+def _sensitivity_lines(got: Records) -> list[Line]:
+    lines = []
+    for table, rows, pump in (("Table 2", printed_values.TABLE2, "cp"), ("Table 3", printed_values.TABLE3, "ls")):
+        swept = [row for row in rows[1:] if row.method == "dp" or row.method.startswith("sns")]
+        for row in swept:
+            for name in variations():
+                mine = got[f"loader, {name}, {row.cost if row.method == 'dp' else row.method}"]
+                ours = ratio(mine, got[f"loader, {name}, {pump}"], PUMPS[pump])
+                lines.append(Line("sensitivity", f"{table}, {row.name}: {name}", row.value, ours))
+    for path in PATHS:
+        for pump, key in PUMPS.items():
+            for solution, method in (("P-inv. (j.)", "sns-joint"), ("P-inv. (a.)", "sns-actuator")):
+                for name in path_variations(path):
+                    ours = ratio(got[f"{path}, {name}, {method}"], got[f"{path}, {name}, {pump}"], key)
+                    value = printed_values.EXCESS.get((path, pump))
+                    row = f"{path}, {pump.upper()}, {solution} over the best: {name}"
+                    lines.append(Line("sensitivity", row, value, ours))
+    return lines
+
+
+EXPERIMENTS = {
+    "table2": Experiment(
+        "Constant pressure: pump flow relative to the least (3-DOF, Table 2)",
+        lambda: _table_jobs(printed_values.TABLE2),
+        lambda got: _table_lines("table2", printed_values.TABLE2, "cp", got),
+    ),
+    "table3": Experiment(
+        "Load sensing: energy relative to the least (3-DOF, Table 3)",
+        lambda: _table_jobs(printed_values.TABLE3),
+        lambda got: _table_lines("table3", printed_values.TABLE3, "ls", got),
+    ),
+    "fig8": Experiment(
+        "Convergence over the grid, constant pressure (3-DOF, Figure 8)",
+        lambda: _convergence_jobs("cp"),
+        lambda got: _convergence_lines("fig8", "cp", got),
+    ),
+    "fig10": Experiment(
+        "Convergence over the grid, load sensing (3-DOF, Figure 10)",
+        lambda: _convergence_jobs("ls"),
+        lambda got: _convergence_lines("fig10", "ls", got),
+    ),
+    "sizing": Experiment(
+        "Other cylinder sizes, three triangles (3-DOF, sections 6.2, 6.3)", _sizing_jobs, _sizing_lines
+    ),
+    **{
+        path: Experiment(
+            f"Pump energies, {path} (4-DOF, {figures})",
+            lambda path=path: _path_jobs(path),
+            lambda got, path=path: _path_lines(path, got),
+        )
+        for path, figures in zip(PATHS, ("Figures 10, A4", "Figures 11, A5", "Figures 12, A6"), strict=True)
+    },
+    "tracking": Experiment(
+        "Largest path errors in closed loop by ISO 9283 (4-DOF, Table 4)", _tracking_jobs, _tracking_lines
+    ),
+    "sensitivity": Experiment(
+        "What depends on values that the papers do not print", _sensitivity_jobs, _sensitivity_lines
+    ),
+}

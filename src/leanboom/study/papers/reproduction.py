@@ -1,0 +1,286 @@
+"""Reproduction: the papers' experiments solved again, our values beside the printed ones.
+
+Every solution is kept in a file of its own, named after a hash of all that it depends on: the task with its machine,
+the method, cost and grid, leanboom's version and the sources that solve. So a run that was interrupted goes on where
+it stopped, and experiments share their solutions.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, FiniteFloat, model_validator
+
+from leanboom import __version__
+from leanboom.dynamic_programming import grids
+from leanboom.errors import InputError, LeanboomError
+from leanboom.fingerprint import fingerprint
+from leanboom.io import folders
+from leanboom.model.motion import Motion
+from leanboom.model.task import Task
+from leanboom.problem import starts
+from leanboom.study import processes
+from leanboom.study.papers.experiments import COARSE, EXPERIMENTS, Job, Line, Record, Records
+
+SMOOTH = 5.0  # [Hz], both papers filter their plans before they are measured
+STEP = 0.05  # [s]
+POINTS = 601  # of a motion in its record, at most
+CLOSED_LOOP = ("driven_ls_j", "driven_cp_j", "accuracy_ls_m", "accuracy_cp_m")  # numbers of a record
+SOLVED = "solved"  # folder of the solutions
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reproduction:
+    """Reproduced experiments: the lines of each, and the records of their solutions."""
+
+    lines: tuple[Line, ...]
+    records: Mapping[str, Records]  # by experiment, then by the experiment's name for a solution
+
+    def json(self) -> list[dict[str, Any]]:
+        """What `reproduce --json` prints."""
+        return [
+            {
+                "experiment": line.experiment,
+                "row": line.row,
+                "printed": line.printed,
+                "ours": line.ours,
+                "difference": line.difference,
+            }
+            for line in self.lines
+        ]
+
+    def __repr__(self) -> str:
+        beside = sum(line.difference is not None for line in self.lines)
+        return f"Reproduction({', '.join(self.records)}: {len(self.lines)} lines, {beside} beside printed values)"
+
+
+def names(asked: Sequence[str]) -> tuple[str, ...]:
+    """The experiments that are asked for, in their order.
+
+    Args:
+        asked: Names of `EXPERIMENTS`, or "all"; none mean all.
+
+    Raises:
+        InputError: One of them does not exist.
+    """
+    wrong = [name for name in asked if name not in EXPERIMENTS and name != "all"]
+    if wrong:
+        raise InputError(f"experiment = {', '.join(wrong)}; must be all or some of {', '.join(EXPERIMENTS)}")
+    return tuple(name for name in EXPERIMENTS if not asked or "all" in asked or name in asked)
+
+
+def reproduce(
+    asked: Sequence[str] = (),
+    folder: Path = Path("leanboom-reproduce"),
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Reproduction:
+    """Solve what experiments need and is not solved yet, and read their values off.
+
+    Solutions run side by side, each in a process of its own: a script calls this below `if __name__ == "__main__":`.
+
+    Args:
+        asked: Names of experiments; none mean all.
+        folder: Where solutions are kept.
+        workers: Solutions at a time; None: one a core.
+        progress: Called with what happens and the share done.
+
+    Returns:
+        Our values beside the printed ones.
+
+    Raises:
+        InputError: An experiment does not exist, or the folder cannot be used.
+    """
+    wanted = names(asked)
+    tell = progress or (lambda text, share: None)
+    needed = {name: {row: (key(job), job) for row, job in EXPERIMENTS[name].jobs().items()} for name in wanted}
+    every = {digest: job for rows in needed.values() for digest, job in rows.values()}
+    known = {digest: record for digest in every if (record := _read(folder, digest)) is not None}
+    missing = [digest for digest in every if digest not in known]
+    # The longest first, so that no core waits for a late one.
+    missing.sort(key=lambda digest: -_effort(every[digest]))
+    tell(f"{len(known)} of {len(every)} solutions at hand", len(known) / len(every))
+
+    def keep(index: int, outcome: processes.Outcome) -> None:
+        digest = missing[index]
+        record = _nothing(outcome.failure) if outcome.failed else outcome.value
+        if not outcome.failed or outcome.refused:  # what was killed is tried again next time
+            _keep(folder, digest, record)
+        known[digest] = record
+        job = every[digest]
+        text = f"{job.task.name}, {job.method} ({job.cost}): {len(known)} of {len(every)} solutions"
+        tell(text, len(known) / len(every))
+
+    if missing:
+        processes.each(solve, [every[digest] for digest in missing], workers, keep)
+    records = {name: {row: known[digest] for row, (digest, _) in rows.items()} for name, rows in needed.items()}
+    lines = [line for name in wanted for line in EXPERIMENTS[name].lines(records[name])]
+    result = Reproduction(tuple(lines), records)
+    for name in wanted:
+        rows = [entry for entry in result.json() if entry["experiment"] == name]
+        folders.write(folder, {f"{name}.json": (json.dumps(rows, allow_nan=False) + "\n").encode()})
+    return result
+
+
+def key(job: Job) -> str:
+    """Name of a solution: a hash of all that it depends on.
+
+    Args:
+        job: The job.
+    """
+    sources = fingerprint("study.papers.reproduction")
+    task = asdict(job.task)  # all of it: its repr is for people
+    parts = (__version__, sources, task, job.method, job.cost, job.grid, SMOOTH, STEP)
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]
+
+
+def _effort(job: Job) -> float:
+    """How long a job takes, roughly, relative to others."""
+    times = {"shooting": 60.0, "pseudospectral": 30.0, "dp": 6.0, COARSE: 6.0}
+    dear = 3.0 if job.cost == "ls" and job.method in ("shooting", "pseudospectral") else 1.0
+    return dear * times.get(job.method, 1.0) * job.task.duration * job.grid[0] * job.grid[1]
+
+
+def solve(job: Job) -> dict[str, Any]:
+    """Solve a job and measure it, as a process of its own does.
+
+    The plan is made without the filter, which may overshoot a limit by some thousandths; its limits are judged as
+    planned, its energy and flow as filtered.
+
+    Args:
+        job: The job.
+
+    Returns:
+        Its record.
+
+    Raises:
+        LeanboomError: If the method has no result; the text says why.
+    """
+    import numpy as np
+
+    from leanboom.dynamic_programming import value_function
+    from leanboom.evaluation.evaluate import evaluate
+    from leanboom.planning import planner
+    from leanboom.problem import stages
+
+    began = time.process_time()
+    task = replace(job.task, smooth=None)
+    if job.method == COARSE:
+        problem = stages.discretise(task, STEP)
+        start = starts.start_position(problem, task.start)
+        assert start is not None
+        found = value_function.rollout(
+            value_function.solve(problem, grids.full_grid(problem, *job.grid), job.cost), start
+        )
+        first = evaluate(task, found)
+    else:
+        cost = None if job.method.startswith("sns") else job.cost
+        plan = planner.run(task, cost=cost, method=job.method, grid=job.grid, step=STEP, baseline=False, check=False)
+        found, first = plan.motion, plan.evaluation
+        if first.status.startswith("not converged") or found.status.startswith("not converged"):
+            raise LeanboomError(found.status)
+    status = next(iter(first.violations), "solved")  # the papers know no limits of the pump
+    judged = evaluate(replace(task, smooth=SMOOTH), found)
+    at = np.unique(np.linspace(0, judged.time.size - 1, min(POINTS, judged.time.size)).round().astype(int))
+    return {
+        "status": status,
+        "energy_ls_j": judged.energy_ls,
+        "energy_cp_j": judged.energy_cp,
+        "flow_m3": float(np.trapezoid(judged.pump_flow, judged.time)),
+        "pressure_pa": float(judged.pressure.max()),
+        **_driven(judged.task, found, job.driven),
+        "solve_s": float(found.solve_s),
+        "cpu_s": time.process_time() - began,
+        "time_s": np.round(judged.time[at], 6).tolist(),
+        "stroke_m": np.round(judged.length[at, -1], 5).tolist(),
+        "supply_ls_pa": np.round(judged.supply_ls[at], -3).tolist(),
+    }
+
+
+def _driven(task: Task, found: Motion, wanted: bool) -> dict[str, float | None]:
+    """Energies and path accuracies in closed loop; None where they are not wanted or the run does not end."""
+    from leanboom.simulation import closed_loop
+
+    numbers: dict[str, float | None] = dict.fromkeys(CLOSED_LOOP)
+    for pump in ("ls", "cp") if wanted else ():
+        run = closed_loop.simulate(task, found, pump)
+        if run.complete:
+            numbers |= {f"driven_{pump}_j": run.energy, f"accuracy_{pump}_m": run.path_accuracy}
+    return numbers
+
+
+def _nothing(reason: str) -> dict[str, Any]:
+    """The record of a solution that failed."""
+    numbers = ("energy_ls_j", "energy_cp_j", "flow_m3", "pressure_pa", *CLOSED_LOOP, "solve_s", "cpu_s")
+    return {"status": reason, **dict.fromkeys(numbers), "time_s": [], "stroke_m": [], "supply_ls_pa": []}
+
+
+class _Kept(BaseModel):
+    """What a record must hold: finite numbers, all of them where the solution is one, and samples of equal count."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    status: str
+    energy_ls_j: FiniteFloat | None
+    energy_cp_j: FiniteFloat | None
+    flow_m3: FiniteFloat | None
+    pressure_pa: FiniteFloat | None
+    driven_ls_j: FiniteFloat | None
+    driven_cp_j: FiniteFloat | None
+    accuracy_ls_m: FiniteFloat | None
+    accuracy_cp_m: FiniteFloat | None
+    solve_s: FiniteFloat | None
+    cpu_s: FiniteFloat | None
+    time_s: list[FiniteFloat]
+    stroke_m: list[FiniteFloat]
+    supply_ls_pa: list[FiniteFloat]
+
+    @model_validator(mode="after")
+    def _belongs_together(self) -> _Kept:
+        numbers = (self.energy_ls_j, self.energy_cp_j, self.flow_m3, self.pressure_pa, self.solve_s, self.cpu_s)
+        if None in numbers and (self.status == "solved" or self.time_s):
+            raise ValueError("a solution has all its numbers")
+        if not len(self.time_s) == len(self.stroke_m) == len(self.supply_ls_pa):
+            raise ValueError("samples must be equal in number")
+        return self
+
+
+class _Sealed(BaseModel):
+    """The file of a record, with a hash that shows when its content was changed or belongs to another solution."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    record: _Kept
+    sha256: str
+
+
+def _seal(digest: str, record: Record) -> str:
+    """The hash that a record is kept with."""
+    text = json.dumps([digest, record], sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _keep(folder: Path, digest: str, record: Record) -> None:
+    """Write a record; the file appears whole or not at all."""
+    record = _Kept.model_validate(dict(record)).model_dump()
+    text = json.dumps({"record": record, "sha256": _seal(digest, record)}, allow_nan=False) + "\n"
+    folders.write(folder, {f"{SOLVED}/{digest}.json": text.encode()})
+
+
+def _read(folder: Path, digest: str) -> Record | None:
+    """A kept record; None if there is none, or it is not as it was written: then it is solved again."""
+    try:
+        kept = _Sealed.model_validate_json((folder / SOLVED / f"{digest}.json").read_bytes())
+    except (OSError, ValueError):
+        return None
+    record = kept.record.model_dump()
+    return record if _seal(digest, record) == kept.sha256 else None

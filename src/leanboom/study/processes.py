@@ -1,0 +1,146 @@
+"""Independent calls side by side, each in a process of its own.
+
+A call that raises, runs out of memory or crashes costs the others nothing, its peak memory is its own, and ending the
+command ends them all. Each process uses one thread, so that several do not fight for the same cores.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from multiprocessing import connection
+from typing import Any
+
+from leanboom.errors import LeanboomError
+
+PRELOADED = (
+    "leanboom.planning.planner",
+    "leanboom.fixed_mode.modes",
+    "leanboom.evaluation.evaluate",
+)  # what every process needs, imported once
+STARTING, VALUE, REFUSAL, FAILURE = "starting", "value", "refusal", "failure"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of a call."""
+
+    value: Any = None
+    failure: str = ""  # why there is no value, as a sentence
+    refused: bool = False  # whether the function itself said so: the same call would fail again
+
+    @property
+    def failed(self) -> bool:
+        """Whether there is no value."""
+        return bool(self.failure)
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on this system
+        return os.cpu_count() or 1
+
+
+def each(
+    function: Callable[[Any], Any],
+    arguments: Sequence[Any],
+    workers: int | None = None,
+    done: Callable[[int, Outcome], None] | None = None,
+) -> list[Outcome]:
+    """Call a function with every argument, as many at a time as there are workers.
+
+    Args:
+        function: A function of a module, of one argument; both, and its value, must be picklable.
+        arguments: The arguments, one a call.
+        workers: Calls at a time; None: one a core.
+        done: Called in this process whenever a call has ended, with its index and outcome.
+
+    Returns:
+        The outcomes, in the order of the arguments.
+
+    Raises:
+        LeanboomError: If processes cannot start.
+    """
+    methods = multiprocessing.get_all_start_methods()
+    context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+    if context.get_start_method() == "forkserver":
+        context.set_forkserver_preload([*PRELOADED])
+    waiting = list(range(len(arguments)))[::-1]
+    outcomes = [Outcome() for _ in arguments]
+    running: dict[Any, tuple[int, Any, list]] = {}
+    try:
+        while waiting or running:
+            while waiting and len(running) < max(1, workers or cores()):
+                index = waiting.pop()
+                here, there = context.Pipe(duplex=False)
+                process = context.Process(target=_call, args=(there, function, arguments[index]), daemon=True)
+                process.start()
+                there.close()
+                running[here] = index, process, []
+            for pipe in connection.wait(list(running)):
+                index, process, said = running[pipe]
+                if (ended := _listen(pipe, process, said)) is None:
+                    continue
+                del running[pipe]
+                outcomes[index] = ended
+                if done is not None:
+                    done(index, ended)
+    finally:
+        for pipe, (_, process, _) in running.items():
+            process.terminate()
+            process.join()
+            pipe.close()
+    return outcomes
+
+
+def _listen(pipe: Any, process: Any, said: list) -> Outcome | None:
+    """What a process says next: its outcome, or None for now."""
+    try:
+        word, value = pipe.recv()
+    except EOFError:
+        word, value = FAILURE, ""
+    if word == STARTING:
+        said.append(word)
+        return None
+    process.join()
+    pipe.close()
+    if word == VALUE:
+        return Outcome(value)
+    if value:
+        return Outcome(failure=value, refused=word == REFUSAL)
+    if not said:
+        raise LeanboomError(
+            "a process could not start; a script that calls this must do so below: if __name__ == '__main__':"
+        )
+    code = process.exitcode
+    how = f"signal {-code}, {signal.strsignal(-code)}" if code and code < 0 else f"exit code {code}"
+    return Outcome(failure=f"its process ended unexpectedly ({how})")
+
+
+def _call(pipe: Any, function: Callable[[Any], Any], argument: Any) -> None:
+    """What a process does: call the function on one thread and send what comes of it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which ends its processes
+    pipe.send((STARTING, None))
+    silence = os.open(os.devnull, os.O_WRONLY)  # solvers print; standard output belongs to the results
+    os.dup2(silence, 1)
+    os.dup2(silence, 2)
+    try:
+        import numba
+
+        # By default numba shares a lock with further processes, which one that is ended would leave behind.
+        multiprocessing.set_start_method("spawn", force=True)
+        numba.set_num_threads(1)
+        answer = VALUE, function(argument)
+    except LeanboomError as error:
+        answer = REFUSAL, str(error)
+    except MemoryError:
+        answer = FAILURE, "out of memory"
+    except Exception as error:  # whatever a method does wrong is the fate of its own call alone
+        answer = FAILURE, f"{type(error).__name__}: {error}"
+    pipe.send(answer)
+    pipe.close()
