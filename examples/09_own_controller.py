@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 import leanboom as lb
-from leanboom.model.task import Lines
+from leanboom.components.paths import Lines
 from leanboom.simulation.controllers import DeadZoneInverse
 
 REACH = Lines(points=((4.6, 0.0, 2.0), (6.4, 0.0, 2.3)), durations=(5.0,))

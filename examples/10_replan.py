@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 import leanboom as lb
-from leanboom.model.task import Moved
+from leanboom.components.paths import Moved
 
 NUDGE = 0.01, 0.01  # what the telescope is off at every new plan, at most [m], [m/s]
 

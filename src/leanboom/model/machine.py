@@ -1,7 +1,7 @@
 """A hydraulic crane as data: geometry, joints, linkages, cylinders, bodies, pump.
 
 Everything here is SI, immutable and free of behaviour beyond checked and trivially derived values. Files become
-these types in `files`; `crane` puts them and the formulas together.
+these types in `io.loading`; `crane` puts them and the formulas together.
 
 The cranes covered have an optional slewing base, a lift joint, a tilt joint with an optional offset and
 a telescoping extension, the redundant joint. Joint order is always base (if any), lift, tilt, extension.
