@@ -65,7 +65,10 @@ def start_up() -> None:
     tool = [os.path.join(os.path.dirname(sys.executable), "leanboom")]
     seconds = sorted(timed([*tool, "--help"])[0] for _ in range(5))
     print(f"leanboom --help: {seconds[2]:.2f} s (median of 5, {seconds[0]:.2f} to {seconds[-1]:.2f})")
-    code = "import time; t = time.perf_counter(); from leanboom import dp, polish; dp.prepare(); polish.prepare()"
+    code = (
+        "import time; t = time.perf_counter(); from leanboom.dynamic_programming import value_function; "
+        "from leanboom.fixed_mode import modes; value_function.prepare(); modes.prepare()"
+    )
     code += "; print(time.perf_counter() - t)"
     with tempfile.TemporaryDirectory() as folder:
         cold = float(timed([sys.executable, "-c", code], {"NUMBA_CACHE_DIR": folder})[1])
@@ -114,9 +117,10 @@ def planning() -> None:
             f"peak memory {peak / 2**20:.0f} MiB, {8 * 2**30 / peak:.0f} times below the papers' 8 GB"
         )
     code = (
-        "import resource; import leanboom as lb; from leanboom import dp, stages; "
+        "import resource; import leanboom as lb; from leanboom.dynamic_programming import grids, value_function; "
+        "from leanboom.problem import stages; "
         "p = stages.discretise(lb.load_task('forwarder-vertical'), 0.05); "
-        "dp.solve(p, stages.full_grid(p, 356, 101), 'ls'); "
+        "value_function.solve(p, grids.full_grid(p, 356, 101), 'ls'); "
         "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)"
     )
     peak = float(timed([sys.executable, "-c", code])[1])

@@ -8,14 +8,13 @@ from dataclasses import replace
 from math import pi
 
 import leanboom as lb
-
 from leanboom.components.paths import Lines
 
 DIAGONAL = Lines(points=((1.4, 0.0, 0.5), (3.2, 0.0, 2.5)), durations=(10.0,))  # first edge of the large triangle
 GRID, STEP = (41, 31), 0.2
 
 
-def with_extension_bore(machine: lb.Machine, bore: float, rod: float) -> Machine:
+def with_extension_bore(machine: lb.Machine, bore: float, rod: float) -> lb.Machine:
     """The machine with another extension cylinder of the same stroke; bore and rod in [m]."""
     cylinder = replace(
         machine.redundant,

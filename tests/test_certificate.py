@@ -314,8 +314,8 @@ def test_cells_are_as_small_as_time_and_memory_allow(monkeypatch, seconds, memor
     def size(problem, cost, beside, tried):
         return SimpleNamespace(count=64000 // (tried[0] * tried[1]))
 
-    monkeypatch.setattr(lower_bounds, "size", size)
-    monkeypatch.setattr(lower_bounds, "memory_of", lambda problem, cut: 1.0 * cut.count)
+    monkeypatch.setattr(partition, "size", size)
+    monkeypatch.setattr(partition, "memory_of", lambda problem, cut: 1.0 * cut.count)
     monkeypatch.setattr(certificate, "_memory", lambda: memory)
     monkeypatch.setattr(budget.time, "perf_counter", lambda: 1.0)
     monkeypatch.setattr(budget.time, "process_time", lambda: 1.0)

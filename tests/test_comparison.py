@@ -63,17 +63,17 @@ def faked(monkeypatch, task):
         outcomes = []
         for index, argument in enumerate(arguments):
             try:
-                result_tables.append(processes.Outcome(function(argument)))
+                outcomes.append(processes.Outcome(function(argument)))
             except LeanboomError as error:
-                result_tables.append(processes.Outcome(failure=str(error), refused=True))
+                outcomes.append(processes.Outcome(failure=str(error), refused=True))
             except ValueError as error:
-                result_tables.append(processes.Outcome(failure=f"ValueError: {error}"))
+                outcomes.append(processes.Outcome(failure=f"ValueError: {error}"))
             if done is not None:
                 done(index, outcomes[-1])
         return outcomes
 
     monkeypatch.setattr(comparison, "solve", solve)
-    monkeypatch.setattr(comparison.jobs, "each", each)
+    monkeypatch.setattr(comparison.processes, "each", each)
     return asked
 
 

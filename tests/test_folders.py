@@ -19,7 +19,7 @@ from leanboom.io import folders
 HOLD = """
 import sys, time
 from pathlib import Path
-from leanboom import folders
+from leanboom.io import folders
 
 with folders.{how}(Path(sys.argv[1])):
     {left}
@@ -29,7 +29,7 @@ with folders.{how}(Path(sys.argv[1])):
 REWRITE = """
 import itertools, sys
 from pathlib import Path
-from leanboom import folders
+from leanboom.io import folders
 
 for version in itertools.count():
     with folders.reserved(Path(sys.argv[1])):

@@ -32,7 +32,7 @@ def test_guided_bounds_see_the_end_of_the_stroke_and_stay_below_every_motion(loa
     guided = lower_bounds.bound(kept, start, quiet, known.slopes)
     assert guided.lower > 1.01 * lower_bounds.bound(kept, start, quiet).lower
     # Nor above a policy's motion, stage by stage.
-    moving = value_slopes.dp.rollout(known.policies[0], start)
+    moving = value_slopes.value_function.rollout(known.policies[0], start)
     measured = upper_bound.measure(problem, moving, "cp")
     assert measured.keeps_limits
     assert guided.lower <= measured.energy

@@ -40,7 +40,7 @@ def solved(monkeypatch):
             done.append(job)
             report(index, processes.Outcome(record(job)))
 
-    monkeypatch.setattr(reproduction.jobs, "each", each)
+    monkeypatch.setattr(reproduction.processes, "each", each)
     return done
 
 
@@ -199,9 +199,11 @@ def test_a_record_needs_all_its_numbers_even_under_a_seal(tmp_path):
 
 def test_solutions_are_named_after_what_they_depend_on():
     """A list of modules without a part in solutions, kept by hand, missed new ones and held too many."""
-    found = fingerprint.needed("reproduction")
-    assert {"planner", "shooting", "collocation", "hydraulics", "simulation", "reproduction"} <= found
-    assert not {"cli", "tables", "results", "figures", "report"} & found
+    found = fingerprint.needed("study.papers.reproduction")
+    methods = {"methods.dp_refined", "methods.multiple_shooting", "methods.pseudospectral"}
+    assert methods | {"planning.planner", "formulas.hydraulics", "simulation.closed_loop"} <= found
+    others = {"cli.app", "cli.machine_tables", "report.papers_page", "report.figures", "report.plan_page"}
+    assert not others & found and others <= fingerprint._modules()
 
 
 def test_a_module_depends_on_what_it_imports_anywhere(monkeypatch, tmp_path):
@@ -242,7 +244,7 @@ def test_words_of_a_solution_are_no_markup_on_the_page(solved, monkeypatch, tmp_
             failed = processes.Outcome(failure="<img src=x> [a](b) | *c*\n# d `e`", refused=True)
             report(index, failed if job.method == "shooting" else processes.Outcome(record(job)))
 
-    monkeypatch.setattr(reproduction.jobs, "each", each)
+    monkeypatch.setattr(reproduction.processes, "each", each)
     page = papers_page.page(reproduction.reproduce(["table2"], tmp_path))
     assert "| &lt;img src=x&gt; \\[a](b) \\| \\*c\\* # d \\`e\\` |" in page
     assert "<img" not in page
@@ -259,7 +261,7 @@ def test_a_refusal_is_kept_and_a_crash_is_not(monkeypatch, tmp_path):
             good = processes.Outcome(record(job))
             report(index, processes.Outcome(failure=text, refused=refused) if refused or job.cost == "ls" else good)
 
-    monkeypatch.setattr(reproduction.jobs, "each", each)
+    monkeypatch.setattr(reproduction.processes, "each", each)
     found = {line.row: line for line in reproduction.reproduce(["table2"], tmp_path).lines}
     assert found["fmincon (CP)"].ours is None and found["fmincon (CP)"].why == "not converged: Restoration_Failed"
     assert found["fmincon (CP)"].difference is None

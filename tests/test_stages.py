@@ -152,7 +152,7 @@ def test_looking_closer_takes_no_more_memory_where_a_path_takes_longer(monkeypat
         return found
 
     monkeypatch.setattr(cranes, "position_margin", counted)
-    monkeypatch.setattr(stages, "SAMPLES", 17)
+    monkeypatch.setattr(feasible_strokes, "SAMPLES", 17)
     most = []
     for seconds in (60.0, 180.0):
         seen.clear()

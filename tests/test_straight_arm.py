@@ -151,12 +151,12 @@ def test_energies_of_a_motion_that_cannot_be_made_are_left_out():
 
 def test_a_path_says_when_a_straight_arm_limits_the_extension():
     """All along this one, as it moves straight outwards; never where the arm is bent anyway; `check` tells."""
-    found = facts.path(OUTWARDS)
-    assert found.straight == (0.0, OUTWARDS.duration)
-    (note,) = found.notes
+    path = facts.path(OUTWARDS)
+    assert path.straight == (0.0, OUTWARDS.duration)
+    (note,) = path.notes
     assert note.startswith("at times from 0.00 s to 8.00 s a straight arm limits the extension: plans stay 3 deg")
     assert facts.path(ray(knuckle(), 0.5, 2.0, 2.4)).notes == ()
-    found = facts.Checked("ray", "task", OUTWARDS, facts, None)
+    found = facts.Checked("ray", "task", OUTWARDS, path, None)
     out = io.StringIO()
     machine_tables.checked(Console(file=out, width=200), found, known=False)
     assert f"Note              {note}" in out.getvalue()

@@ -224,12 +224,12 @@ def checked(console: Console, found: facts.Checked, known: bool) -> None:
         _machine_report(console, found.machine)
 
 
-def _path_report(console: Console, task: Task, facts: facts.PathFacts) -> None:
-    low, high = facts.start
-    say(console, f"Path              {facts.length:.2f} m in {task.duration:g} s, at most {facts.fastest:.3g} m/s")
+def _path_report(console: Console, task: Task, path: facts.PathFacts) -> None:
+    low, high = path.start
+    say(console, f"Path              {path.length:.2f} m in {task.duration:g} s, at most {path.fastest:.3g} m/s")
     say(console, f"Payload           {task.payload:g} kg")
     say(console, f"Start             {_start(task)}; {low:.4f} m to {high:.4f} m of the extension cylinder can be")
-    for note in facts.notes:
+    for note in path.notes:
         say(console, f"Note              {note}")
 
 

@@ -2,9 +2,9 @@
 
 A coarse dynamic program, forward and backward in time, gives the least cost of a motion through every node, and so
 the local minima worth following (`local_minima`). Each is refined in tubes, narrow grids around a motion, and polished
-with its switches fixed (`fixed_mode`); the best of them are refined further, at last on shorter stages. Load-sensing costs
-have many local minima that differ in their switches alone: a tube's motion is polished even where its own cost is no
-lower.
+with its switches fixed (`fixed_mode`); the best of them are refined further, at last on shorter stages. Load-sensing
+costs have many local minima that differ in their switches alone: a tube's motion is polished even where its own cost is
+no lower.
 The judge measures every candidate, and the best feasible one wins.
 """
 
