@@ -31,8 +31,8 @@ CYLINDER = {
     "acceleration_limit": layout.A_MAX,
 }  # fmt: skip
 SETTING = {
-    "step": layout.STEP, "epsilon": layout.EPSILON, "supply_cp": layout.SUPPLY_CP, "margin": layout.MARGIN,
-    "efficiency": layout.EFFICIENCY, "idle": layout.IDLE, "leak": layout.LEAK, "drag": layout.DRAG,
+    "step": layout.STEP, "epsilon": layout.EPSILON, "efficiency": layout.EFFICIENCY, "idle": layout.IDLE,
+    "leak": layout.LEAK, "drag": layout.DRAG,
 }  # fmt: skip
 COLUMNS = "a0 a1 b0 b1 b2 b3 f0 f1 f2 f3 coulomb"  # of a node's coefficients, in the order of `bellman`
 UNITS = {
@@ -69,6 +69,8 @@ def export(task: Task, pump: str, grid: tuple[int, int], step: float, file: Path
     contents |= {name: table.stage[:, column] for name, column in STAGE.items()}
     contents |= {name: table.cylinder[:, column] for name, column in CYLINDER.items()}
     contents |= {name: float(setting[entry]) for name, entry in SETTING.items()}
+    given = task.machine.pump
+    contents |= {"supply_cp": given.constant_pressure, "margin": given.ls_margin}
     savemat(file, contents | {"columns": COLUMNS, "units": UNITS})
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from leanboom.dynamic_programming import bellman
 from leanboom.problem import layout
 
-COSTS = ("ls", "cp", "actuator", "velocity", "extension", "recuperation")  # in the order of their codes
+COSTS = ("ls", "cp", "actuator", "velocity", "extension", "recuperation")
 BESIDE = 1e-7  # corners are tried this far on either side of a switch [m/s^2]
 
 
@@ -87,7 +87,7 @@ def power(small: Small, k: int, row: np.ndarray, w: float, u: np.ndarray) -> np.
         force = f[i] + row[i, layout.COULOMB] * np.tanh(data[layout.SHARPNESS] * v[i]) + data[layout.VISCOUS] * v[i]
         work += np.where(force * v[i] > 0.0, force * v[i], 0.0)
         if small.cost == "recuperation":
-            flow += v[i] * (data[layout.PISTON] - data[layout.ROD_SIDE])
+            flow += v[i] * data[layout.AREA_OUT]  # piston side less rod side
         else:
             flow += np.where(v[i] > 0.0, data[layout.AREA_OUT] * v[i], data[layout.AREA_IN] * -v[i])
         extending = data[layout.GAIN_OUT] * force + data[layout.BACK_OUT]
@@ -95,7 +95,7 @@ def power(small: Small, k: int, row: np.ndarray, w: float, u: np.ndarray) -> np.
         asked = np.where(v[i] > 0.0, extending, retracting)
         counts = (np.abs(v[i]) > s[layout.EPSILON]) & (force * v[i] > 0.0)
         pressure = np.where(counts, np.maximum(pressure, asked), pressure)
-    supply = pressure + s[layout.MARGIN] if small.cost == "ls" else np.full(u.shape, s[layout.SUPPLY_CP])
+    supply = s[layout.SUPPLY] + (pressure if small.cost == "ls" else np.zeros(u.shape))
     pump = supply * flow / s[layout.EFFICIENCY] + s[layout.LEAK] * supply
     pump += s[layout.IDLE] + s[layout.DRAG] * flow**2
     answers = {
@@ -103,7 +103,7 @@ def power(small: Small, k: int, row: np.ndarray, w: float, u: np.ndarray) -> np.
         "cp": pump,
         "actuator": work,
         "velocity": (v * v).sum(axis=0),
-        "extension": np.full(u.shape, w * w),
+        "extension": v[-1] ** 2,
         "recuperation": pump,
     }
     return answers[small.cost] + small.stage[k, layout.FIXED_COST]

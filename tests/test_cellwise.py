@@ -7,7 +7,6 @@ import pytest
 
 from leanboom import load_task
 from leanboom.certificate import cell_enclosures, lower_bounds, partition, position_rows
-from leanboom.components import costs
 from leanboom.model import crane as cranes
 from leanboom.model import motion
 from leanboom.problem import layout, stages
@@ -128,7 +127,7 @@ def test_edges_on_the_velocity_limits_stay(share, moved):
     model = np.zeros((1, 1, layout.COEFFICIENTS, 4))
     model[0, 0, layout.A0, 0], model[0, 0, layout.A1, 0] = epsilon + limit - share * height, 1.0
     setting = np.zeros(layout.SETTINGS)
-    setting[layout.EPSILON], setting[layout.COST] = epsilon, costs.LS
+    setting[layout.EPSILON], setting[layout.SENSING] = epsilon, 1.0
     edges = np.zeros((1, 41))
     cell_enclosures.place_edges(model, setting, np.array([-limit, height, 0.0]), edges)
     plain = -limit + height * np.arange(41)

@@ -12,6 +12,7 @@ from leanboom.errors import InputError
 from leanboom.evaluation.evaluate import evaluate
 from leanboom.io.loading import load_task
 from leanboom.methods import dp_velocity
+from leanboom.model import cost_rates
 from leanboom.model import crane as cranes
 from leanboom.problem import stages
 
@@ -50,9 +51,9 @@ def test_principal_costs_equal_the_judge():
     crane = cranes.build(task)
     velocity, force = tuple(judged.velocity.T), tuple(judged.force.T)
     for cost, power in (("ls", judged.power_ls), ("cp", judged.power_cp)):
-        np.testing.assert_allclose(dp_velocity.principal_cost(crane, cost, velocity, force), power, rtol=1e-12)
+        np.testing.assert_allclose(cost_rates.rate(crane, cost, velocity, force), power, rtol=1e-12)
     work = np.maximum(judged.velocity * judged.force, 0.0).sum(axis=1)
-    np.testing.assert_allclose(dp_velocity.principal_cost(crane, "actuator", velocity, force), work, rtol=1e-12)
+    np.testing.assert_allclose(cost_rates.rate(crane, "actuator", velocity, force), work, rtol=1e-12)
 
 
 def test_limits_are_counted():

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import slow_reference as slow
-from leanboom.components.costs import COSTS
 from leanboom.dynamic_programming import bellman, grids, sweeps, value_function
 from leanboom.formulas import hydraulics
 from leanboom.io.loading import load_task
@@ -50,10 +49,19 @@ def problem(seed: int, cost: str, *, stages=3, positions=5, velocities=7, prescr
     cylinder = np.empty((MOVING, layout.CYLINDER_COLUMNS))
     columns = [a, b * rng.integers(0, 2, MOVING), 1.1 / a, 3e6 * rng.random(MOVING), 1.2 / b, 3e6 * rng.random(MOVING),
                100.0 + 900.0 * rng.random(MOVING), 2e3 * rng.random(MOVING), 0.1 + 0.2 * rng.random(MOVING),
-               0.3 + 0.4 * rng.random(MOVING), a, b]  # fmt: skip
+               0.3 + 0.4 * rng.random(MOVING), np.zeros(MOVING)]  # fmt: skip
     cylinder[:] = np.array(columns).T
     cylinder[:, layout.A_MAX] *= rng.choice([0.2, 1.0])  # every other problem: limits that may exclude each other
-    setting = np.array([0.1, COSTS[cost], 0.002, 2e7, 2e6, 0.8, 4e3, 5e2, 6e2, 7e1, 3e2, 4e-5, 5e8])
+    setting = np.array([0.1, 0.0, 0.0, 0.002, 2e7, 0.8, 4e3, 5e2, 6e2, 7e1, 3e2, 4e-5, 5e8])
+    if cost == "ls":
+        setting[[layout.SENSING, layout.SUPPLY]] = 1.0, 2e6
+    elif cost == "recuperation":
+        cylinder[:, layout.AREA_OUT], cylinder[:, layout.AREA_IN] = a - b, b - a
+    elif cost != "cp":  # no pump
+        cylinder[:, [layout.AREA_OUT, layout.AREA_IN]] = 0.0
+        setting[[layout.SUPPLY, layout.IDLE, layout.LEAK, layout.DRAG]] = 0.0
+        setting[layout.WORK] = cost == "actuator"
+        cylinder[-1 if cost == "extension" else slice(None), layout.SQUARE] = cost in ("velocity", "extension")
     c = np.linspace(0.0, 1.0, positions)[:, None]
     w = np.linspace(-1.0, 1.0, velocities)[None, :]
     terminal = 200.0 * (rng.normal() * c + rng.normal() * w + np.abs(w) + 0.5 * np.sin(3.0 * c + w))
@@ -181,7 +189,7 @@ def test_the_pressure_of_prescribed_cylinders_is_used_up_but_not_exceeded():
     stage[:, [layout.DC, layout.W_LO, layout.DW, layout.FIXED_PRESSURE]] = 1.0, -1.0, 1.95, 2e6
     cylinder = np.zeros((1, layout.CYLINDER_COLUMNS))
     cylinder[0, [layout.AREA_OUT, layout.GAIN_OUT, layout.V_MAX, layout.A_MAX]] = 0.01, 100.0, 1.0, 1.0
-    setting = np.array([0.1, COSTS["ls"], 0.002, 2e7, 3e6, 1.0, *[0.0] * 7])
+    setting = np.array([0.1, 1.0, 0.0, 0.002, 3e6, 1.0, *[0.0] * 7])  # load-sensing, 3 MPa of margin
     ahead = -100.0 * np.array([[-1.0, 0.95], [-1.0, 0.95]])
     value, u = best_of_one(row, 0.0, 0.5, 0.1, 0, stage, cylinder, setting, ahead)
     assert u == pytest.approx(0.2, abs=1e-9)
@@ -197,7 +205,7 @@ def test_settled_states_cost_one_line_over_their_controls(cost):
         k, (positions, velocities) = 1, small.terminal.shape
         w = small.velocity(k, 0) + small.stage[k, layout.DW] * np.arange(velocities)
         ahead = bellman.layer(np.zeros_like(small.terminal), small.stage, small.setting, k + 1)
-        code, lowest = COSTS[cost], small.stage[k, layout.FIXED_PRESSURE]
+        sensing, lowest = cost == "ls", small.stage[k, layout.FIXED_PRESSURE]
         for p in range(positions):
             row = bellman.empty_row(velocities, small.cylinder.shape[0], velocities)
             node, c = small.coefficients[k, p], small.position(k, p)
@@ -205,10 +213,10 @@ def test_settled_states_cost_one_line_over_their_controls(cost):
             base, slope = row.state[bellman.BASE].copy(), row.state[bellman.SLOPE].copy()
             bellman.limit_controls(node, 0.0, w, k, small.stage, small.cylinder, small.setting, row)
             bellman.keep_to_nodes(w, ahead, small.setting[layout.STEP], row)
-            bellman.charge(node, w, k, small.stage, small.cylinder, small.setting, code, row)
+            bellman.charge(node, w, k, small.stage, small.cylinder, small.setting, row)
             for j in range(velocities):
                 u = np.linspace(row.state[bellman.LOW, j], row.state[bellman.HIGH, j], 401)
-                asked = np.array([bellman.running_cost(x, j, code, lowest, row.line) for x in u])
+                asked = np.array([bellman.running_cost(x, j, sensing, lowest, row.line) for x in u])
                 dear = row.state[bellman.BASE, j] + row.state[bellman.RATE, j] * asked
                 bend = np.abs(dear - np.linspace(dear[0], dear[-1], u.size)).max()
                 if row.state[bellman.MIXED, j]:
@@ -317,8 +325,8 @@ def test_value_of_a_problem_worked_out_by_hand():
     stage = np.zeros((3, layout.STAGE_COLUMNS))
     stage[:, layout.DC], stage[:, layout.W_LO], stage[:, layout.DW] = 100.0, -2.0, 1.0
     cylinder = np.ones((1, layout.CYLINDER_COLUMNS))
-    cylinder[0, [layout.V_MAX, layout.A_MAX]] = 10.0, 1.0
-    setting = np.array([1.0, COSTS["cp"], 0.0, 3.0, 0.0, 1.0, 0.0, 100.0, 100.0, 100.0, 0.0, 0.0, 0.0])
+    cylinder[0, [layout.V_MAX, layout.A_MAX, layout.SQUARE]] = 10.0, 1.0, 0.0
+    setting = np.array([1.0, 0.0, 0.0, 0.0, 3.0, 1.0, 0.0, 100.0, 100.0, 100.0, 0.0, 0.0, 0.0])
     terminal = 100.0 * np.abs(np.arange(-2.0, 3.0))[None, :].repeat(2, axis=0)
     small = Small(row, np.zeros((3, 2)), stage, cylinder, setting, terminal, "cp")
     # From 2 m/s the deceleration of 1 m/s^2 takes both stages: 3 (2 + 1) J. From 1 m/s one: 3 J, then at rest.
@@ -366,7 +374,7 @@ def test_ties_go_to_the_candidate_tried_first():
     """Nothing costs anything: the lower end of the admissible controls is tried first and kept."""
     small = problem(1, "cp", prescribed=True)
     setting, cylinder = small.setting.copy(), small.cylinder.copy()
-    setting[[layout.SUPPLY_CP, layout.SLOPE_W, layout.SLOPE_C]] = 0.0
+    setting[[layout.SUPPLY, layout.SLOPE_W, layout.SLOPE_C]] = 0.0
     cylinder[:, layout.A_MAX] = 1e3  # the redundant cylinder alone limits the control
     cylinder[-1, layout.A_MAX] = 0.25
     small = replace(small, setting=setting, cylinder=cylinder)

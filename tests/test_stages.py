@@ -378,7 +378,7 @@ def test_the_prescribed_base_is_one_flow_pressure_and_cost_a_stage(cost):
     force = 15e3 * np.tanh(2000.0 * v)
     pressure = force / base.piston_area + 1.5 * 0.7e6
     assert driven.sum() > 30
-    flow = np.zeros_like(v) if cost == "recuperation" else base.piston_area * v  # its return flow is as large
+    flow = base.piston_area * v if cost in ("ls", "cp") else 0.0 * v  # recuperation's return flow is as large
     assert stage[:, layout.FIXED_FLOW] == pytest.approx(flow, abs=1e-12)
     assert stage[driven, layout.FIXED_PRESSURE] == pytest.approx(pressure[driven], rel=1e-12)
     assert not stage[np.abs(v) < 0.0019, layout.FIXED_PRESSURE].any()
@@ -395,7 +395,7 @@ def test_a_crane_without_a_base_has_nothing_prescribed():
 
 def test_cylinder_table_holds_drives_and_limits_of_the_moving_cylinders():
     problem = PROBLEMS["forwarder-horizontal"]
-    table = stage_arrays.cylinder_table(problem)
+    table = stage_arrays.cylinder_table(problem, "ls")
     drives = hydraulic_drives.drives(FORWARDER)
     assert table.shape == (3, layout.CYLINDER_COLUMNS)
     for row, d, c in zip(table, drives[1:], FORWARDER.cylinders[1:], strict=True):
@@ -408,7 +408,7 @@ def test_cylinder_table_holds_drives_and_limits_of_the_moving_cylinders():
             d.back_in,
         ]
         assert (row[layout.V_MAX], row[layout.A_MAX]) == (c.velocity_limit, c.acceleration_limit)
-        assert (row[layout.PISTON], row[layout.ROD_SIDE]) == (c.piston_area, c.rod_side_area)
+        assert row[layout.SQUARE] == 0.0
     assert table[:, layout.SHARPNESS].tolist() == [2000.0, 2000.0, 4000.0]
 
 
@@ -417,8 +417,9 @@ def test_settings_are_the_machine_and_the_slopes(cost):
     setting = stage_arrays.setting(PROBLEMS["forwarder-vertical"], cost, (1.0, 2.0, 3.0, 4.0))
     assert setting.shape == (layout.SETTINGS,)
     assert setting[layout.STEP] == 0.25
-    assert setting[layout.COST] == COSTS[cost]
-    assert setting[[layout.SUPPLY_CP, layout.MARGIN, layout.EFFICIENCY]].tolist() == [20e6, 3e6, 1.0]
+    assert setting[[layout.SENSING, layout.WORK]].tolist() == [cost == "ls", cost == "actuator"]
+    supply = {"ls": 3e6, "cp": 20e6, "recuperation": 20e6}.get(cost, 0.0)
+    assert setting[[layout.SUPPLY, layout.EFFICIENCY]].tolist() == [supply, 1.0]
     assert setting[[layout.SLOPE_C, layout.SLOPE_W, layout.SLOPE_V, layout.SLOPE_A]].tolist() == [
         1.0,
         2.0,

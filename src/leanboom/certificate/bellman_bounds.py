@@ -45,9 +45,8 @@ from leanboom.certificate.cell_enclosures import (
     expand,
 )
 from leanboom.compiling import njit
-from leanboom.components.costs import LS
 from leanboom.formulas.formula import enable_in_kernels
-from leanboom.problem.layout import AREA_IN, AREA_OUT, COEFFICIENTS, COST, EFFICIENCY, MARGIN, STEP, SUPPLY_CP
+from leanboom.problem.layout import AREA_IN, AREA_OUT, COEFFICIENTS, EFFICIENCY, SENSING, STEP, SUPPLY
 
 enable_in_kernels()
 
@@ -133,11 +132,11 @@ def cell_flow(motion, cylinder, half, flow, sigma):
 def supply_forms(motion, setting, fixed, u0, u_lo, u_hi, box, forms):
     """Affine lower bounds of the supply pressure over a transition's box; returns how many."""
     step = setting[STEP]
-    if int(setting[COST]) != LS:
-        forms[0, 0] = setting[SUPPLY_CP]
+    if setting[SENSING] == 0.0:
+        forms[0, 0] = setting[SUPPLY]
         forms[0, 1:] = 0.0
         return 1
-    forms[0, 0] = fixed + setting[MARGIN]
+    forms[0, 0] = fixed + setting[SUPPLY]
     forms[0, 1:] = 0.0
     count = 1
     tm, xm = max(-box[0, 0], box[1, 0]), max(-box[0, 1], box[1, 1])
@@ -154,7 +153,7 @@ def supply_forms(motion, setting, fixed, u0, u_lo, u_hi, box, forms):
             continue  # may run free: nothing to count on
         form = forms[count]
         form[0] = motion[m, P_M] + pull * u0 - error - tm * abs(motion[m, P_UT]) * du
-        form[0] = setting[MARGIN] + motion[m, P_BACK] + gain * form[0]
+        form[0] = setting[SUPPLY] + motion[m, P_BACK] + gain * form[0]
         form[1] = gain * (motion[m, P_T] + motion[m, P_UT] * u0)
         form[2] = gain * (motion[m, P_X] - pull / step)
         form[3] = gain * pull / step
@@ -247,7 +246,7 @@ def cells(  # noqa: PLR0913
     sigma, turn = np.zeros(n), np.zeros(2)
     rate = step / setting[EFFICIENCY]
     # Edges off the lattice: only where power jumps.
-    off = SNAP if int(setting[COST]) == LS else 0.0
+    off = SNAP if setting[SENSING] != 0.0 else 0.0
     next_dw, next_half, j_ahead = there[L_DW], (0.5 + off) * there[L_DW], int(there[L_J])
     lead = i_first = 0
     # Forms with the slopes of the cell's plane, without, or both.

@@ -13,7 +13,6 @@ from __future__ import annotations
 import numpy as np
 
 from leanboom.compiling import njit
-from leanboom.components.costs import LS
 from leanboom.problem.layout import (
     A0,
     A1,
@@ -25,7 +24,6 @@ from leanboom.problem.layout import (
     BACK_IN,
     BACK_OUT,
     COEFFICIENTS,
-    COST,
     COULOMB,
     EPSILON,
     F0,
@@ -34,6 +32,7 @@ from leanboom.problem.layout import (
     F3,
     GAIN_IN,
     GAIN_OUT,
+    SENSING,
     SHARPNESS,
     V_MAX,
     VISCOUS,
@@ -114,7 +113,7 @@ def cell_motion(coefficients, cylinder, setting, w, half, motion):
         Bounds of the accelerations of the redundant cylinder that some state of the cell admits [m/s^2].
     """
     top = abs(w) + half
-    pressures = int(setting[COST]) == LS
+    pressures = setting[SENSING] != 0.0
     for m in range(coefficients.shape[0]):
         row = coefficients[m]
         motion[m, V_M] = row[A0, 0] + row[A1, 0] * w
@@ -211,7 +210,7 @@ def place_edges(model, setting, here, edges):
     for p in range(edges.shape[0]):
         for r in range(edges.shape[1]):
             edges[p, r] = here[L_W] + (here[L_J] + r) * height
-        if int(setting[COST]) != LS:
+        if setting[SENSING] == 0.0:
             continue
         moved[:] = False
         expand(model, p, coefficients)

@@ -119,7 +119,7 @@ def made_of(  # noqa: PLR0913
     lattice[:n, L_W] = -limit
     lattice[:n, L_DW] = 2.0 * limit / velocities
     lattice[:n, L_J] = corner
-    cylinder = stage_arrays.cylinder_table(problem)
+    cylinder = stage_arrays.cylinder_table(problem, cost)
     setting = stage_arrays.setting(problem, cost, (0.0, 0.0, 0.0, 0.0))
     setting[layout.EPSILON] = problem.crane.machine.driven_velocity
     model = position_rows.enclosures(problem, rows[:n])

@@ -22,10 +22,9 @@ from typing import NamedTuple
 import numpy as np
 
 from leanboom.compiling import njit
-from leanboom.components.costs import ACTUATOR, CP, EXTENSION, LS, RECUPERATION, VELOCITY
 from leanboom.formulas.dynamics import friction
 from leanboom.formulas.formula import enable_in_kernels
-from leanboom.formulas.hydraulics import cylinder_flow, pump_losses, pump_power, recuperating_flow
+from leanboom.formulas.hydraulics import cylinder_flow, pump_power
 from leanboom.problem.layout import (
     A0,
     A1,
@@ -39,7 +38,6 @@ from leanboom.problem.layout import (
     BACK_IN,
     BACK_OUT,
     C_LO,
-    COST,
     COULOMB,
     DC,
     DRAG,
@@ -57,19 +55,19 @@ from leanboom.problem.layout import (
     GAIN_OUT,
     IDLE,
     LEAK,
-    MARGIN,
-    PISTON,
-    ROD_SIDE,
+    SENSING,
     SHARPNESS,
     SLOPE_A,
     SLOPE_C,
     SLOPE_V,
     SLOPE_W,
+    SQUARE,
     STEP,
-    SUPPLY_CP,
+    SUPPLY,
     V_MAX,
     VISCOUS,
     W_LO,
+    WORK,
 )
 
 enable_in_kernels()
@@ -107,9 +105,9 @@ class Layer(NamedTuple):
 class Row(NamedTuple):
     """What is known of the states of a row: few arrays with named rows, because kernels hand them around a lot.
 
-    The part of a stage's cost that depends on the control is a rate times the supply pressure (ls), the highest of
-    p0_i + p1_i u over cylinders with load_i + gain_i u > 0, or times the sum of positive load_i + gain_i u (actuator).
-    Where that is one line over the admissible controls it is part of `BASE` and `SLOPE`.
+    The part of a stage's cost that depends on the control is a rate times a load-sensing supply pressure, the highest
+    of p0_i + p1_i u over cylinders with load_i + gain_i u > 0, or times positive work, the sum of positive
+    load_i + gain_i u. Where that is one line over the admissible controls it is part of `BASE` and `SLOPE`.
     """
 
     state: np.ndarray  # (STATE_ROWS, states + velocities ahead); ALONG and BEYOND alone use all columns
@@ -212,7 +210,7 @@ def keep_to_nodes(w, ahead, step, row):
 
 
 @njit(cache=True, error_model="numpy")
-def charge(node, w, k, stage, cylinder, setting, code, row):
+def charge(node, w, k, stage, cylinder, setting, row):
     """Cost of a row's states whatever the control, and the rate of what depends on it."""
     base, rate, flow = row.state[BASE], row.state[RATE], row.state[FLOW]
     step, prescribed = setting[STEP], stage[k, FIXED_FLOW]
@@ -220,34 +218,24 @@ def charge(node, w, k, stage, cylinder, setting, code, row):
         flow[j], rate[j] = prescribed, step
     for i in range(node.shape[0]):
         a0, a1 = node[i, A0], node[i, A1]
-        if code == RECUPERATION:
-            piston, rod_side = cylinder[i, PISTON], cylinder[i, ROD_SIDE]
-            for j in range(w.size):
-                flow[j] += recuperating_flow(a0 + a1 * w[j], piston, rod_side)
-        elif code == VELOCITY:
+        area_out, area_in, square = cylinder[i, AREA_OUT], cylinder[i, AREA_IN], cylinder[i, SQUARE]
+        for j in range(w.size):
+            flow[j] += cylinder_flow(a0 + a1 * w[j], area_out, area_in)
+        if square != 0.0:
             for j in range(w.size):
                 v = a0 + a1 * w[j]
-                base[j] += step * v * v
-        else:
-            area_out, area_in = cylinder[i, AREA_OUT], cylinder[i, AREA_IN]
-            for j in range(w.size):
-                flow[j] += cylinder_flow(a0 + a1 * w[j], area_out, area_in)
-    efficiency, margin, supply = setting[EFFICIENCY], setting[MARGIN], setting[SUPPLY_CP]
+                base[j] += step * square * v * v
+    supply, efficiency = setting[SUPPLY], setting[EFFICIENCY]
     idle, leak, drag = setting[IDLE], setting[LEAK], setting[DRAG]
-    if code == LS:
-        for j in range(w.size):  # affine in the pressure: losses at no pressure, and the rate at which it costs
+    for j in range(w.size):
+        base[j] += step * pump_power(supply, flow[j], efficiency, idle, leak, drag)
+    if setting[SENSING] != 0.0:
+        for j in range(w.size):  # pump power is affine in the pressure
             rate[j] = step * pump_power(1.0, flow[j], efficiency, 0.0, leak, 0.0)
-            base[j] += step * pump_losses(0.0, flow[j], idle, leak, drag) + rate[j] * margin
-    elif code == CP or code == RECUPERATION:
-        for j in range(w.size):
-            base[j] += step * pump_power(supply, flow[j], efficiency, idle, leak, drag)
-    elif code == EXTENSION:
-        for j in range(w.size):
-            base[j] += step * w[j] * w[j]
 
 
 @njit(cache=True, error_model="numpy")
-def load_lines(node, w, cylinder, setting, code, lowest, row):
+def load_lines(node, w, cylinder, setting, lowest, row):
     """Loads of a row's cylinders and the pressures they ask for, as lines over the control."""
     epsilon = setting[EPSILON]
     for i in range(node.shape[0]):
@@ -256,7 +244,7 @@ def load_lines(node, w, cylinder, setting, code, lowest, row):
         coulomb, sharpness, viscous = node[i, COULOMB], cylinder[i, SHARPNESS], cylinder[i, VISCOUS]
         for j in range(w.size):
             load[j] = friction(a0 + a1 * w[j], coulomb, sharpness, viscous)
-        if code == ACTUATOR:
+        if setting[WORK] != 0.0:
             for j in range(w.size):
                 v = a0 + a1 * w[j]
                 p0[j], p1[j] = 0.0, 0.0
@@ -276,19 +264,19 @@ def load_lines(node, w, cylinder, setting, code, lowest, row):
 
 
 @njit(cache=True, error_model="numpy")
-def running_cost(u, j, code, lowest, line):
-    """What state j's control costs by itself, per `RATE`: supply pressure (ls) or positive work (actuator)."""
+def running_cost(u, j, sensing, lowest, line):
+    """What state j's control costs by itself, per `RATE`: supply pressure (load-sensing) or positive work."""
     pressure, work = lowest, 0.0
     for i in range(line.shape[0]):
         along = line[i, LOAD, j] + line[i, GAIN, j] * u
         if along > 0.0:
             work += along
             pressure = max(pressure, line[i, P0, j] + line[i, P1, j] * u)
-    return pressure if code == LS else work
+    return pressure if sensing else work
 
 
 @njit(cache=True, error_model="numpy")
-def settle_lines(states, code, lowest, row):
+def settle_lines(states, sensing, lowest, row):
     """States whose running cost is one line over all admissible controls: it moves into `BASE` and `SLOPE`.
 
     A cylinder is loaded between two controls if it is at both ends, and so is the one that asks for most. States of
@@ -312,12 +300,12 @@ def settle_lines(states, code, lowest, row):
                 q, dq, wanted = p0, p1, p0 + p1 * most
             if first:
                 work, dwork = work + load, dwork + gain
-        if code == LS:
+        if sensing:
             changes = changes or p != q or dp != dq
         mixed[j] = 1.0 if changes else 0.0
         if not changes:
-            base[j] += rate[j] * (p if code == LS else work)
-            slope[j] = rate[j] * (dp if code == LS else dwork)
+            base[j] += rate[j] * (p if sensing else work)
+            slope[j] = rate[j] * (dp if sensing else dwork)
 
 
 @njit(cache=True, error_model="numpy")
@@ -383,11 +371,11 @@ def reachable(low, high, w, step, ahead):
 
 
 @njit(cache=True, error_model="numpy")
-def try_mixed(c, w, step, ahead, code, lowest, row):
+def try_mixed(c, w, step, ahead, sensing, lowest, row):
     """Try all corners of the states that are `MIXED`.
 
-    Besides the ends and the nodes these are the unloaded side of every switch of a load's sign and, for ls, the
-    crossings of two pressures.
+    Besides the ends and the nodes these are the unloaded side of every switch of a load's sign and, with a load-sensing
+    supply, the crossings of two pressures.
     """
     value, control, low, high = row.state[VALUE], row.state[CONTROL], row.state[LOW], row.state[HIGH]
     line, mixed, rate = row.line, row.state[MIXED], row.state[RATE]
@@ -418,7 +406,7 @@ def try_mixed(c, w, step, ahead, code, lowest, row):
                 cell, x, y, extra = locate(ahead, c + step * w[j] + half * u, w[j] + step * u)
                 price = blend(nodes, velocities, cell, x, y) + extra
                 if price < best:
-                    price += rate[j] * running_cost(u, j, code, lowest, line)
+                    price += rate[j] * running_cost(u, j, sensing, lowest, line)
                     if price < best:
                         best, chosen = price, u
         value[j], control[j] = best, chosen
@@ -442,21 +430,21 @@ def best_controls(node, outside, c, w, k, stage, cylinder, setting, ahead, row):
         ahead: The next stage's `Layer`.
         row: Out: `VALUE` [J] and `CONTROL` [m/s^2] of its states; the rest is scratch.
     """
-    step, code, lowest = setting[STEP], int(setting[COST]), stage[k, FIXED_PRESSURE]
+    step, sensing, lowest = setting[STEP], setting[SENSING] != 0.0, stage[k, FIXED_PRESSURE]
     value, control, slope = row.state[VALUE], row.state[CONTROL], row.state[SLOPE]
     limit_controls(node, outside, w, k, stage, cylinder, setting, row)
     keep_to_nodes(w, ahead, step, row)
-    charge(node, w, k, stage, cylinder, setting, code, row)
+    charge(node, w, k, stage, cylinder, setting, row)
     for j in range(w.size):
         value[j], control[j], slope[j] = np.inf, row.state[LOW, j], 0.0
-    priced = code == LS or code == ACTUATOR
+    priced = sensing or setting[WORK] != 0.0
     if priced:
-        load_lines(node, w, cylinder, setting, code, lowest, row)
-        settle_lines(w.size, code, lowest, row)
+        load_lines(node, w, cylinder, setting, lowest, row)
+        settle_lines(w.size, sensing, lowest, row)
     try_end(LOW, c, w, step, ahead, row)
     try_end(HIGH, c, w, step, ahead, row)
     try_nodes(c, w, step, ahead, row)
     if priced:
-        try_mixed(c, w, step, ahead, code, lowest, row)
+        try_mixed(c, w, step, ahead, sensing, lowest, row)
     for j in range(w.size):
         value[j] += row.state[BASE, j]

@@ -70,9 +70,8 @@ def tables(problem: Problem, grid: Grid, cost: str) -> Tables:
     stage[:, layout.DW] = (grid.w_hi - grid.w_lo) / (grid.velocities - 1)
     flow, pressure, rate = prescribed(problem, cost)
     stage[:, layout.FIXED_FLOW], stage[:, layout.FIXED_PRESSURE], stage[:, layout.FIXED_COST] = flow, pressure, rate
-    return Tables(
-        coefficients(problem, nodes), _distance_outside(problem, nodes), stage, cylinder_table(problem), grid.velocities
-    )
+    outside, cylinder = _distance_outside(problem, nodes), cylinder_table(problem, cost)
+    return Tables(coefficients(problem, nodes), outside, stage, cylinder, grid.velocities)
 
 
 def _distance_outside(problem: Problem, nodes: np.ndarray) -> np.ndarray:

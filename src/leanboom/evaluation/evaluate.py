@@ -12,13 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from leanboom import resources
-from leanboom.components.costs import of_pump
+from leanboom.components.costs import PUMPS, of_pump
 from leanboom.components.pump_power import shaft_of
 from leanboom.errors import InputError
 from leanboom.evaluation import limit_checks, remarks
 from leanboom.evaluation.limit_checks import PATH_TOLERANCE, TOLERANCE, LimitUse
 from leanboom.formulas import hydraulics, kinematics
 from leanboom.model import crane as cranes
+from leanboom.model.cost_rates import rate
 from leanboom.model.motion import Motion, headed
 from leanboom.model.task import Task, sample
 
@@ -248,21 +249,11 @@ def _samples(task: Task) -> int:
 
 
 def judged_cost(evaluation: Evaluation, cost: str) -> float:
-    """What a motion costs by the judge, for any name of `costs.COSTS`: [J], or [m^2/s] for the last two kinds."""
-    if cost in ("ls", "cp"):
+    """What a motion costs by the judge, for any name of `costs.COSTS`, in the cost's unit."""
+    if cost in PUMPS:
         return evaluation.energy(cost)
-    machine = evaluation.task.machine
-    if cost == "actuator":
-        rate = hydraulics.positive_work(evaluation.velocity, evaluation.force).sum(axis=1)
-    elif cost == "velocity":
-        rate = (evaluation.velocity**2).sum(axis=1)
-    elif cost == "extension":
-        rate = evaluation.velocity[:, -1] ** 2
-    else:
-        areas = [(c.piston_area, c.rod_side_area) for c in machine.cylinders]
-        flow = sum(hydraulics.recuperating_flow(evaluation.velocity[:, i], a, b) for i, (a, b) in enumerate(areas))
-        rate = hydraulics.pump_power(machine.pump.constant_pressure, flow, *shaft_of(machine.pump))
-    return float(_integral(evaluation.time, rate)[-1])
+    columns = tuple(evaluation.velocity.T), tuple(evaluation.force.T)
+    return float(_integral(evaluation.time, rate(cranes.build(evaluation.task), cost, *columns))[-1])
 
 
 def hydraulic_state(crane: cranes.Crane, velocity: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -23,7 +23,6 @@ from typing import NamedTuple
 import numpy as np
 
 from leanboom.compiling import njit
-from leanboom.components.costs import ACTUATOR, EXTENSION, LS, RECUPERATION, VELOCITY  # fmt: skip
 from leanboom.formulas.hydraulics import pump_power
 from leanboom.problem.layout import A0, A1, B0, B1, B2, B3, COEFFICIENTS, COULOMB, F0, F1, F2, F3
 
@@ -33,7 +32,7 @@ GRADING = 3.5  # nodes are this much denser towards the ends, where a straight b
 # Rows of `Program.mode`: what a mode asks of a load, alpha p - beta F - gamma >= 0, and the direction of its friction.
 SIGN, ALPHA, BETA, GAMMA = range(4)
 # Rows of `Program.cylinder`.
-AREA_OUT, AREA_IN, NET_AREA, VISCOUS, HARDEST = range(5)
+AREA_OUT, AREA_IN, SQUARE, VISCOUS, HARDEST = range(5)
 # Entries of `Program.pump`: supply without its variable part, and the shaft's coefficients.
 SUPPLY, EFFICIENCY, IDLE, LEAK, DRAG = range(5)
 # A quantity and its derivatives by position, velocity and control.
@@ -88,7 +87,8 @@ class Program(NamedTuple):
     """A polishing problem for given modes; units are m, s, MPa, l/s, kW."""
 
     step: float
-    code: int  # of the cost
+    sensing: bool  # whether the highest demanded pressure adds to the supply
+    work: bool  # whether positive work counts
     free_start: bool
     table: np.ndarray  # (stages + 1, positions, cylinders, COEFFICIENTS)
     first: np.ndarray  # first position of the table [m], (stages + 1,)
@@ -188,41 +188,31 @@ def move(program, k, e, point, jet, out):
 
 
 @njit(cache=True, error_model="numpy")
-def flow_and_supply(program, k, e, point, moved):
-    """Pump flow [l/s] and supply pressure [MPa] at an end, for costs that have them."""
+def flow_and_supply(program, k, e, point):
+    """Pump flow [l/s] and supply pressure [MPa] at an end."""
     flow = program.flow[k + e]
-    for i in range(moved.shape[0]):
-        if program.code == RECUPERATION:
-            flow += program.cylinder[NET_AREA, i] * moved[i, V, X]
-        else:
-            flow += point.local[k, e, 1 + i]
-    return flow, program.pump[SUPPLY] + (point.local[k, e, 0] if program.code == LS else 0.0)
+    for i in range(program.table.shape[2]):
+        flow += point.local[k, e, 1 + i]
+    return flow, program.pump[SUPPLY] + (point.local[k, e, 0] if program.sensing else 0.0)
 
 
 @njit(cache=True, error_model="numpy")
 def rate(program, k, e, point, moved):
     """Rate of the cost at an end [kW or its like]."""
-    code, total = program.code, 0.0
-    if code == EXTENSION:
-        return MILLI * point.state[k + e, W] ** 2
-    if code == ACTUATOR:
-        for i in range(moved.shape[0]):
+    total, pump = 0.0, program.pump
+    for i in range(moved.shape[0]):
+        total += MILLI * program.cylinder[SQUARE, i] * moved[i, V, X] ** 2
+        if program.work:
             total += MILLI * program.mode[e, k, ALPHA, i] * moved[i, F, X] * moved[i, V, X]
-        return total
-    if code == VELOCITY:
-        for i in range(moved.shape[0]):
-            total += MILLI * moved[i, V, X] ** 2
-        return total
-    flow, supply = flow_and_supply(program, k, e, point, moved)
-    pump = program.pump
-    return pump_power(supply, flow, pump[EFFICIENCY], pump[IDLE], pump[LEAK], pump[DRAG])
+    flow, supply = flow_and_supply(program, k, e, point)
+    return total + pump_power(supply, flow, pump[EFFICIENCY], pump[IDLE], pump[LEAK], pump[DRAG])
 
 
 @njit(cache=True, error_model="numpy")
 def evaluate(program, point, jet, moved, value):
     """Fill in the values of all limits at a point; returns the cost [kJ or its like]."""
     stages, n = point.control.size, program.table.shape[2]
-    pressure = 1.0 if program.code == LS else 0.0  # whether it is a variable
+    pressure = 1.0 if program.sensing else 0.0  # whether it is a variable
     cost = 0.0
     for k in range(stages + 1):
         c, w = point.state[k, C], point.state[k, W]
@@ -251,7 +241,7 @@ def evaluate(program, point, jet, moved, value):
 def change_limits(program, point, jet, step, moved, change):
     """Fill in the change of all limits along a step, to first order."""
     stages, n = point.control.size, moved.shape[0]
-    pressure = 1.0 if program.code == LS else 0.0
+    pressure = 1.0 if program.sensing else 0.0
     for k in range(stages + 1):
         c, w = step.state[k, C], step.state[k, W]
         change.node[k, 0], change.node[k, 1] = c, -c
@@ -286,54 +276,36 @@ def add_product(matrix, vector, share, one, other):
 
 
 @njit(cache=True, error_model="numpy")
-def add_power(program, k, e, point, moved, matrix, vector, bends):
-    """Add the pump's power x half a step and its derivatives by pressure and flows, or by what recuperation nets."""
-    n, code, pump = moved.shape[0], program.code, program.pump
-    half = 0.5 * program.step
-    flow, supply = flow_and_supply(program, k, e, point, moved)
+def add_power(program, k, e, point, matrix, vector):
+    """Add the pump's power x half a step and its derivatives by pressure and flows."""
+    n, pump, half = program.table.shape[2], program.pump, 0.5 * program.step
+    flow, supply = flow_and_supply(program, k, e, point)
     by_flow = half * (supply / pump[EFFICIENCY] + 2.0 * pump[DRAG] * flow)
-    bend = half * 2.0 * pump[DRAG]
-    if code == LS:
+    bend, mixed = half * 2.0 * pump[DRAG], half / pump[EFFICIENCY] if program.sensing else 0.0
+    if program.sensing:
         vector[P] += half * (flow / pump[EFFICIENCY] + pump[LEAK])
-    if code != RECUPERATION:
-        for i in range(n):
-            vector[S + i] += by_flow
-            matrix[S + i, P] += half / pump[EFFICIENCY] if code == LS else 0.0
-            for other in range(i + 1):
-                matrix[S + i, S + other] += bend
-        return
-    by_c = by_w = 0.0
     for i in range(n):
-        share = program.cylinder[NET_AREA, i]
-        bends[i, V] += by_flow * share
-        by_c += share * moved[i, V, DC]
-        by_w += share * moved[i, V, DW]
-    vector[C] += by_flow * by_c
-    vector[W] += by_flow * by_w
-    matrix[C, C] += bend * by_c * by_c
-    matrix[W, C] += bend * by_c * by_w
-    matrix[W, W] += bend * by_w * by_w
+        vector[S + i] += by_flow
+        matrix[S + i, P] += mixed
+        for other in range(i + 1):
+            matrix[S + i, S + other] += bend
 
 
 @njit(cache=True, error_model="numpy")
 def add_cost(program, k, e, point, moved, matrix, vector, bends):
     """Add the cost x half a step and its derivatives; `bends` gets its slopes by the cylinders' quantities."""
-    n, code, share = moved.shape[0], program.code, 0.5 * program.step * MILLI
-    if code == EXTENSION:
-        vector[W] += 2.0 * share * point.state[k + e, W]
-        matrix[W, W] += 2.0 * share
-    elif code == VELOCITY:
-        for i in range(n):
-            bends[i, V] += 2.0 * share * moved[i, V, X]
-            add_product(matrix, vector, share, moved[i, V], moved[i, V])
-    elif code == ACTUATOR:
-        for i in range(n):
+    share = 0.5 * program.step * MILLI
+    for i in range(moved.shape[0]):
+        square = share * program.cylinder[SQUARE, i]
+        if square != 0.0:
+            bends[i, V] += 2.0 * square * moved[i, V, X]
+            add_product(matrix, vector, square, moved[i, V], moved[i, V])
+        if program.work:
             loaded = share * program.mode[e, k, ALPHA, i]
             bends[i, V] += loaded * moved[i, F, X]
             bends[i, F] += loaded * moved[i, V, X]
             add_product(matrix, vector, loaded, moved[i, F], moved[i, V])
-    else:
-        add_power(program, k, e, point, moved, matrix, vector, bends)
+    add_power(program, k, e, point, matrix, vector)
 
 
 @njit(cache=True, error_model="numpy")
@@ -392,10 +364,7 @@ def assemble_ends(program, point, jet, value, slack, multiplier, barrier, moved,
                 # Load: alpha p - beta F.
                 j = 2 * n + i
                 if counts[j]:
-                    beta, alpha = (
-                        program.mode[e, k, BETA, i],
-                        program.mode[e, k, ALPHA, i] if program.code == LS else 0.0,
-                    )
+                    beta, alpha = program.mode[e, k, BETA, i], program.mode[e, k, ALPHA, i] if program.sensing else 0.0
                     weight, pull = m[j] / t[j], pull_of(g[j], t[j], m[j], barrier)
                     bends[i, F] += beta * m[j]
                     vector[P] -= pull * alpha

@@ -24,12 +24,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leanboom.components.costs import COSTS
-from leanboom.components.pump_power import shaft_of
+from leanboom.components.costs import CostTerms, Supply
 from leanboom.fixed_mode import derivatives, interior_point
 from leanboom.formulas import hydraulics
 from leanboom.model import crane as cranes
 from leanboom.model import motion
+from leanboom.model.cost_rates import supply_of, terms_of
 from leanboom.model.motion import Motion
 from leanboom.problem import cost_scale, feasible_strokes, layout, stage_arrays
 from leanboom.problem.stage_arrays import HELD, prescribed
@@ -53,19 +53,24 @@ class Polisher:
     coulomb: np.ndarray  # friction levels over the stroke [N], (moving, FRICTION_STEPS + 1)
 
     @property
+    def terms(self) -> CostTerms:
+        """The cost's terms for all cylinders."""
+        return terms_of(self.problem.crane, self.cost)
+
+    @property
     def flows(self) -> bool:
         """Whether pump flow counts."""
-        return self.cost in ("ls", "cp")
+        return self.terms.supply is not Supply.NONE
 
     @property
     def loads(self) -> bool:
         """Whether forces count, and with them the modes."""
-        return self.cost in ("ls", "actuator")
+        return self.terms.work or self.pressures
 
     @property
     def pressures(self) -> bool:
         """Whether the supply pressure is a variable."""
-        return self.cost == "ls"
+        return self.terms.supply is Supply.LOAD_SENSING
 
 
 def build(problem: Problem, cost: str) -> Polisher:
@@ -168,7 +173,7 @@ def _program(
     """The interior-point problem; modes bound speeds, limits that cannot change are left out."""
     problem = polisher.problem
     machine = problem.crane.machine
-    cylinders, drives = machine.cylinders[problem.moving], problem.crane.drives[problem.moving]
+    cylinders = machine.cylinders[problem.moving]
     n, nodes = len(cylinders), problem.stages + 1
     v = _speeds(problem, seed)
     low, high = np.empty((nodes, 1 + n)), np.empty((nodes, 1 + n))
@@ -194,31 +199,33 @@ def _program(
     counts.end[:, :, 3 * n] = polisher.pressures
     counts.end[:, :, 3 * n + 1 :] = polisher.flows
     flow, pressure, _ = prescribed(problem, polisher.cost)
+    terms = polisher.terms
     constants = [
-        [LITRE * d.area_out, LITRE * d.area_in, LITRE * (c.piston_area - c.rod_side_area), c.friction.viscous,
-         share[1] * c.acceleration_limit]
-        for c, d in zip(cylinders, drives, strict=True)
+        LITRE * np.array(terms.area_out)[problem.moving], LITRE * np.array(terms.area_in)[problem.moving],
+        np.array(terms.square)[problem.moving], [c.friction.viscous for c in cylinders],
+        [share[1] * c.acceleration_limit for c in cylinders],
     ]  # fmt: skip
-    supply = MEGA * (machine.pump.ls_margin if polisher.pressures else machine.pump.constant_pressure)
+    supply, shaft = supply_of(machine.pump, terms.supply)
     return derivatives.Program(
-        problem.step, COSTS[polisher.cost], free_start, polisher.coefficients, problem.lower, _last(problem),
+        problem.step, polisher.pressures, terms.work, free_start, polisher.coefficients, problem.lower, _last(problem),
         polisher.coulomb, np.array(feasible_strokes.stroke_range(problem.task)), low, high, mode, pressure * MEGA,
-        flow * LITRE, np.array(constants).T.copy(), np.array([supply, *shaft_of(machine.pump).in_kilowatts()]), counts,
+        flow * LITRE, np.array(constants), np.array([MEGA * supply, *shaft.in_kilowatts()]), counts,
     )  # fmt: skip
 
 
 def _guess(polisher: Polisher, seed: Motion, switches: Modes, mode: np.ndarray) -> derivatives.Point:
     """First guess: the seed with its own supply pressure and flows."""
     problem = polisher.problem
-    drives = problem.crane.drives[problem.moving]
-    point = derivatives.empty_point(problem.stages, len(drives))
+    terms = polisher.terms
+    areas = list(zip(terms.area_out, terms.area_in, strict=True))[problem.moving]
+    point = derivatives.empty_point(problem.stages, len(areas))
     point.state[:, 0], point.state[:, 1], point.control[:] = seed.position, seed.velocity, seed.acceleration
     v = _speeds(problem, seed)
     _, pressure, _ = prescribed(problem, polisher.cost)
     for end in range(2):
         if polisher.flows:
-            for i, d in enumerate(drives):
-                point.local[:, end, 1 + i] = LITRE * hydraulics.cylinder_flow(v[_nodes(end), i], d.area_out, d.area_in)
+            for i, (out, back) in enumerate(areas):
+                point.local[:, end, 1 + i] = LITRE * hydraulics.cylinder_flow(v[_nodes(end), i], out, back)
         if polisher.pressures:
             _, alpha, beta, gamma = np.moveaxis(mode[end], 1, 0)
             need = alpha * (beta * _force(problem, seed, end, switches.sign) + gamma)
@@ -259,7 +266,7 @@ def prepare() -> None:
     counts = derivatives.limits(np.zeros(derivatives.empty_limits(count, n).every.size, dtype=np.bool_), count, n)
     table = np.zeros((count + 1, POSITIONS, n, layout.COEFFICIENTS))
     stated = derivatives.Program(
-        1.0, 0, False, table, node, node + 1.0, np.zeros((n, 2)), np.arange(2.0), limit, limit,
+        1.0, False, False, False, table, node, node + 1.0, np.zeros((n, 2)), np.arange(2.0), limit, limit,
         np.zeros((2, count, 4, n)), node, node, np.zeros((5, n)), pump, counts,
     )  # fmt: skip
     interior_point.minimise(stated, derivatives.empty_point(count, n), 1.0, 1.0, 0)

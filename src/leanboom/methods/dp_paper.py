@@ -34,6 +34,7 @@ from leanboom.errors import InputError
 from leanboom.methods import dp_velocity
 from leanboom.model import crane as cranes
 from leanboom.model import motion
+from leanboom.model.cost_rates import rate
 from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import feasible_strokes, stages
@@ -123,7 +124,7 @@ def running_cost(model: Model, k: int, c: np.ndarray, v: np.ndarray, a: np.ndarr
     with np.errstate(all="ignore"):  # poses out of reach give no numbers, and are penalised
         pose = cranes.pose(crane, model.problem.plane[k], stroke)
         moving = cranes.move(pose, v_max * v, a_max * a)
-        power = dp_velocity.principal_cost(crane, model.cost, moving.velocity, cranes.forces(pose, moving))
+        power = rate(crane, model.cost, moving.velocity, cranes.forces(pose, moving))
     power = np.where(np.isfinite(power), power, 0.0)
     values = {"velocity": moving.velocity, "acceleration": moving.acceleration}
     return power + model.penalty * dp_velocity.violated(model.problem, k, stroke, values)

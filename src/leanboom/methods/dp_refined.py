@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from leanboom.components.costs import COSTS
 from leanboom.dynamic_programming import grids, local_minima, value_function
 from leanboom.errors import LeanboomError
 from leanboom.evaluation.evaluate import Evaluation, evaluate, judged_cost
@@ -83,7 +84,7 @@ class Search:
         self.began = time.perf_counter()
         self.log: list[str] = []
         self.best: Evaluation | None = None
-        self.loads = cost in ("ls", "actuator")
+        self.loads = COSTS[cost].loads
         self.short = self.loads and task.duration < LEAST_STAGES * step
         self.step = task.duration / LEAST_STAGES if self.short else step
         self.span = task.machine.redundant.velocity_limit  # velocities of the coarse grid reach this far [m/s]
@@ -107,7 +108,7 @@ class Search:
         best = self.known_best()
         first = float(best.motion.position[0]) if start is None else start
         other = self.baseline(first, self.step)
-        if other is not None and (self.cost == "actuator" or self.rides_on_a_limit(problem)):
+        if other is not None and (COSTS[self.cost].work or self.rides_on_a_limit(problem)):
             self.polish(problem, other.motion, start is None)  # at times to a lower minimum, or along a moving limit
         self.finer_stages(start)
         if not self.known_best().feasible:

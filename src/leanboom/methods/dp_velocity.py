@@ -10,7 +10,7 @@ best controls are stored and interpolated in the forward simulation. l_k adds a 
 position or velocity limit. Accelerations do not exist here, so their limits are not kept, and forces are those of
 gravity and friction alone.
 
-The principal cost and the penalty are shared with `dp_paper`, the two-state algorithm.
+The penalty is shared with `dp_paper`, the two-state algorithm.
 """
 
 from __future__ import annotations
@@ -20,12 +20,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leanboom.components.costs import COSTS
-from leanboom.components.pump_power import shaft_of
+from leanboom.components.costs import COSTS, Supply
 from leanboom.errors import InputError
-from leanboom.formulas import hydraulics
 from leanboom.model import crane as cranes
 from leanboom.model import motion
+from leanboom.model.cost_rates import rate
 from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import feasible_strokes, stages
@@ -48,55 +47,16 @@ class Model:
     penalty: float  # cost of one violated limit, in units of the principal cost
 
 
-def principal_cost(crane: cranes.Crane, cost: str, velocity: tuple, force: tuple):
-    """The cost P_h of a stage: eqs. (36) and (43), and the other costs of the papers' comparisons.
-
-    Args:
-        crane: The crane.
-        cost: A name of `costs.COSTS`.
-        velocity: Velocity of each cylinder [m/s], arrays that broadcast.
-        force: Force of each cylinder [N]; only read for "ls" and "actuator".
-
-    Returns:
-        Power [W] for "ls", "cp", "actuator" and "recuperation", squared velocity [m^2/s^2] for the others.
-    """
-    machine, pump = crane.machine, crane.machine.pump
-    if cost == "extension":
-        return velocity[-1] ** 2
-    if cost == "velocity":
-        return sum(v * v for v in velocity)
-    if cost == "actuator":
-        return sum(hydraulics.positive_work(v, f) for v, f in zip(velocity, force, strict=True))
-    if cost == "recuperation":
-        flow = sum(
-            hydraulics.recuperating_flow(v, c.piston_area, c.rod_side_area)
-            for v, c in zip(velocity, machine.cylinders, strict=True)
-        )
-    else:
-        flow = sum(
-            hydraulics.cylinder_flow(v, d.area_out, d.area_in) for v, d in zip(velocity, crane.drives, strict=True)
-        )
-    if cost != "ls":
-        return hydraulics.pump_power(pump.constant_pressure, flow, *shaft_of(pump))
-    supply = 0.0
-    for v, f, d in zip(velocity, force, crane.drives, strict=True):  # Eqs. (40)-(41).
-        pressure = hydraulics.counted_pressure(
-            v, f, machine.driven_velocity, d.gain_out, d.back_out, d.gain_in, d.back_in
-        )
-        supply = np.maximum(supply, pressure)
-    return hydraulics.pump_power(supply + pump.ls_margin, flow, *shaft_of(pump))
-
-
 def penalty(crane: cranes.Crane, cost: str) -> float:
-    """The constant added for a violated limit: `PENALTY` times the principal cost with all cylinders at full speed."""
+    """The constant added for a violated limit: `PENALTY` times the rate of the cost with all cylinders at full speed.
+
+    A pump is counted at constant pressure, work at the pump's highest.
+    """
     machine = crane.machine
     fastest = tuple(c.velocity_limit for c in machine.cylinders)
-    if cost == "actuator":
-        strongest = [c.piston_area * machine.pump.max_pressure for c in machine.cylinders]
-        return PENALTY * sum(v * f for v, f in zip(fastest, strongest, strict=True))
-    if cost in ("velocity", "extension"):
-        return PENALTY * principal_cost(crane, cost, fastest, fastest)
-    return PENALTY * principal_cost(crane, "cp", fastest, fastest)
+    strongest = tuple(c.piston_area * machine.pump.max_pressure for c in machine.cylinders)
+    pumped = COSTS[cost].supply is not Supply.NONE
+    return PENALTY * float(rate(crane, "cp" if pumped else cost, fastest, strongest))
 
 
 def violated(problem: Problem, k: int, stroke: np.ndarray, values: dict[str, tuple]):
@@ -144,7 +104,7 @@ def stage_cost(model: Model, k: int) -> np.ndarray:
         gravity = [torque / arm for torque, (_, arm, _) in zip(pose.gravity, pose.cylinders[-3:], strict=True)]
         base = [0.0 * w] * (len(pose.cylinders) - 3)
         force = cranes.forces(pose, replace(moving, load=(*base, *gravity)))
-        power = principal_cost(problem.crane, model.cost, moving.velocity, force)
+        power = rate(problem.crane, model.cost, moving.velocity, force)
     power = np.where(np.isfinite(power), power, 0.0)
     return power + model.penalty * violated(problem, k, c, {"velocity": moving.velocity})
 

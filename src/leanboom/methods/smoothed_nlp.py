@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from leanboom.components.costs import of_pump
 from leanboom.components.pump_power import shaft_of
 from leanboom.evaluation.evaluate import Evaluation
 from leanboom.formulas import hydraulics
@@ -95,10 +96,8 @@ def smooth_power(
         pressure = (d.gain_out * force + d.back_out) * smooth_heaviside(v - epsilon, sharpness)
         pressure = pressure + (d.back_in - d.gain_in * force) * smooth_heaviside(-v - epsilon, sharpness)
         pressures.append(MEGA * pressure * smooth_heaviside(KILO * force * v, sharpness))  # eq. (41)
-    if cost == "cp":
-        supply = MEGA * pump.constant_pressure
-    else:
-        supply = reduce(lambda a, b: smooth_maximum(a, b, small), pressures) + MEGA * pump.ls_margin  # eq. (40)
+    highest = reduce(lambda a, b: smooth_maximum(a, b, small), pressures)
+    supply = of_pump(cost, highest + MEGA * pump.ls_margin, MEGA * pump.constant_pressure)  # eq. (40)
     return hydraulics.pump_power(supply, flow * KILO / MEGA, *shaft_of(pump).in_kilowatts())
 
 

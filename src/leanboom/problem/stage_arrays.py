@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from leanboom.components.costs import COSTS
-from leanboom.components.pump_power import shaft_of
+from leanboom.components.costs import Supply
 from leanboom.formulas import hydraulics
 from leanboom.model import crane as cranes
+from leanboom.model.cost_rates import supply_of, terms_of
 from leanboom.problem import layout
 from leanboom.problem.stages import Problem
 
@@ -55,7 +55,7 @@ def prescribed(problem: Problem, cost: str) -> tuple[np.ndarray, np.ndarray, np.
         cost: A name of `costs.COSTS`.
 
     Returns:
-        Pump flow [m^3/s], counted pressure [Pa] and rate of the costs without pump, (stages + 1,) each.
+        Pump flow [m^3/s], demanded pressure [Pa] and rate of the terms without pump, (stages + 1,) each.
     """
     crane = problem.crane
     zero = np.zeros(problem.stages + 1)
@@ -64,36 +64,34 @@ def prescribed(problem: Problem, cost: str) -> tuple[np.ndarray, np.ndarray, np.
     pose = cranes.pose(crane, problem.plane, 0.5 * (problem.lower + problem.upper))
     moving = cranes.move(pose, 0.0, 0.0)
     v, force, d = moving.velocity[0], cranes.forces(pose, moving)[0], crane.drives[0]
-    cylinder = crane.machine.cylinders[0]
-    if cost == "recuperation":
-        flow = hydraulics.recuperating_flow(v, cylinder.piston_area, cylinder.rod_side_area)
-    else:
-        flow = hydraulics.cylinder_flow(v, d.area_out, d.area_in)
+    terms = terms_of(crane, cost)
+    flow = hydraulics.cylinder_flow(v, terms.area_out[0], terms.area_in[0])
     pressure = hydraulics.counted_pressure(
         v, force, crane.machine.driven_velocity, d.gain_out, d.back_out, d.gain_in, d.back_in
     )
-    rate = {"actuator": hydraulics.positive_work(v, force), "velocity": v * v}.get(cost, zero)
-    return flow, pressure, rate
+    rate = terms.square[0] * v * v
+    return flow, pressure, rate + hydraulics.positive_work(v, force) if terms.work else rate
 
 
-def cylinder_table(problem: Problem) -> np.ndarray:
+def cylinder_table(problem: Problem, cost: str) -> np.ndarray:
     """The moving cylinders' constants, (moving, layout.CYLINDER_COLUMNS)."""
     crane = problem.crane
-    rows = []
-    for cylinder, d, k in zip(crane.machine.cylinders, crane.drives, cranes.sharpness(crane), strict=True):
-        rows.append(
-            [d.area_out, d.area_in, d.gain_out, d.back_out, d.gain_in, d.back_in, k, cylinder.friction.viscous,
-             cylinder.velocity_limit, cylinder.acceleration_limit, cylinder.piston_area, cylinder.rod_side_area]
-        )  # fmt: skip
+    terms = terms_of(crane, cost)
+    rows = [
+        [terms.area_out[i], terms.area_in[i], d.gain_out, d.back_out, d.gain_in, d.back_in, k,
+         cylinder.friction.viscous, cylinder.velocity_limit, cylinder.acceleration_limit, terms.square[i]]
+        for i, (cylinder, d, k) in enumerate(
+            zip(crane.machine.cylinders, crane.drives, cranes.sharpness(crane), strict=True)
+        )
+    ]  # fmt: skip
     return np.array(rows)[problem.moving]
 
 
 def setting(problem: Problem, cost: str, slopes: tuple[float, float, float, float]) -> np.ndarray:
     """The kernels' scalars; slopes are the penalties per violated m, m/s (state), m/s and m/s^2 (cylinders)."""
-    machine = problem.crane.machine
-    pump = machine.pump
-    efficiency, *losses = shaft_of(pump)
+    machine, terms = problem.crane.machine, terms_of(problem.crane, cost)
+    supply, (efficiency, *losses) = supply_of(machine.pump, terms.supply)
     return np.array(
-        [problem.step, COSTS[cost], HELD * machine.driven_velocity, pump.constant_pressure, pump.ls_margin,
+        [problem.step, terms.supply is Supply.LOAD_SENSING, terms.work, HELD * machine.driven_velocity, supply,
          efficiency, *slopes, *losses]
     )  # fmt: skip
