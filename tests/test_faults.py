@@ -88,7 +88,7 @@ def test_a_plan_that_falls_behind_or_breaks_a_limit_is_found(monkeypatch, tmp_pa
     tally = faults.Tally()
     run = planner.run
     swapped = {"dp": "sns-actuator", "dp1": "dp"}
-    monkeypatch.setattr(planner, "run", lambda task, *, method, **how: run(task, method=swapped[method], **how))
+    monkeypatch.setattr(planner, "run", lambda task, *, method="dp", **how: run(task, method=swapped[method], **how))
     with faults._watched(tally, "plan 0", str):
         faults._plan(tally, task, "ls", "dp1")
     monkeypatch.setattr(planner, "run", run)
