@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from leanboom import resources
-from leanboom.components.costs import PUMPS, of_pump
+from leanboom.components.costs import PUMPS, Supply, of_pump
 from leanboom.components.pump_power import shaft_of
 from leanboom.errors import InputError
 from leanboom.evaluation import limit_checks, remarks
 from leanboom.evaluation.limit_checks import PATH_TOLERANCE, TOLERANCE, LimitUse
 from leanboom.formulas import hydraulics, kinematics
 from leanboom.model import crane as cranes
-from leanboom.model.cost_rates import rate
+from leanboom.model.cost_rates import demanded_pressure, rate, supply_of
 from leanboom.model.motion import Motion, headed
 from leanboom.model.task import Task, sample
 
@@ -190,7 +190,7 @@ def _evaluate(task: Task, motion: Motion) -> Evaluation:
     pump = machine.pump
     pump_flow = flow.sum(axis=1)
     supply_ls = pressure.max(axis=1) + pump.ls_margin
-    supply_cp = np.full_like(time, pump.constant_pressure)
+    supply_cp = np.full_like(time, supply_of(pump, Supply.CONSTANT)[0])
     power_ls = _finite(hydraulics.pump_power(supply_ls, pump_flow, *shaft_of(pump)))
     power_cp = _finite(hydraulics.pump_power(supply_cp, pump_flow, *shaft_of(pump)))
 
@@ -258,14 +258,11 @@ def judged_cost(evaluation: Evaluation, cost: str) -> float:
 
 def hydraulic_state(crane: cranes.Crane, velocity: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Counted pressures [Pa] and pump flows [m^3/s] of all cylinders, each (samples, joints)."""
-    epsilon = crane.machine.driven_velocity
     pressure = np.empty_like(velocity)
     flow = np.empty_like(velocity)
     for i, d in enumerate(crane.drives):
         v = velocity[:, i]
-        pressure[:, i] = hydraulics.counted_pressure(
-            v, force[:, i], epsilon, d.gain_out, d.back_out, d.gain_in, d.back_in
-        )
+        pressure[:, i] = demanded_pressure(crane, i, v, force[:, i])
         flow[:, i] = hydraulics.cylinder_flow(v, d.area_out, d.area_in)
     return pressure, flow
 

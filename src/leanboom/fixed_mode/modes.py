@@ -32,7 +32,7 @@ from leanboom.model import motion
 from leanboom.model.cost_rates import supply_of, terms_of
 from leanboom.model.motion import Motion
 from leanboom.problem import cost_scale, feasible_strokes, layout, stage_arrays
-from leanboom.problem.stage_arrays import HELD, prescribed
+from leanboom.problem.stage_arrays import prescribed, threshold
 from leanboom.problem.stages import Problem
 
 LITRE, MEGA = 1e3, 1e-6  # flow in l/s, pressure in MPa: their product is kW
@@ -105,7 +105,7 @@ def modes(polisher: Polisher, seed: Motion) -> Modes:
     problem = polisher.problem
     with np.errstate(all="ignore"):  # a seed out of reach has no numbers there, and no modes
         rates = _speeds(problem, seed)
-    epsilon = problem.crane.machine.driven_velocity if polisher.pressures else 0.0
+    epsilon = threshold(problem, 1.0) if polisher.pressures else 0.0
     sign = np.where(rates > epsilon, 1, np.where(rates < -epsilon, -1, 0))
     with np.errstate(all="ignore"):
         loaded = np.stack([_force(problem, seed, end, sign) * sign[_nodes(end)] > 0.0 for end in range(2)])
@@ -178,7 +178,7 @@ def _program(
     v = _speeds(problem, seed)
     low, high = np.empty((nodes, 1 + n)), np.empty((nodes, 1 + n))
     low[:, 0], high[:, 0] = problem.lower, problem.upper
-    held = HELD * machine.driven_velocity if polisher.pressures else 0.0
+    held = threshold(problem) if polisher.pressures else 0.0
     for i, cylinder in enumerate(cylinders):
         high[:, 1 + i] = share[0] * cylinder.velocity_limit
         low[:, 1 + i] = -high[:, 1 + i]

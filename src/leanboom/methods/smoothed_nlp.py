@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from leanboom.components.costs import of_pump
-from leanboom.components.pump_power import shaft_of
+from leanboom.components.costs import COSTS
 from leanboom.evaluation.evaluate import Evaluation
 from leanboom.formulas import hydraulics
 from leanboom.model import crane as cranes
+from leanboom.model.cost_rates import supply_of
 from leanboom.model.motion import Motion
 
 KILO, MEGA = 1e-3, 1e-6  # power in kW, pressure in MPa
@@ -88,7 +88,8 @@ def smooth_power(
     Returns:
         The power [kW].
     """
-    pump, epsilon = crane.machine.pump, crane.machine.driven_velocity
+    epsilon, sensing = crane.machine.driven_velocity, COSTS[cost].loads
+    constant, shaft = supply_of(crane.machine.pump, COSTS[cost].supply)
     flow, pressures = 0.0, []
     for v, force, d in zip(moving.velocity, cranes.forces(pose, moving), crane.drives, strict=True):
         out, back = smooth_heaviside(v, sharpness), smooth_heaviside(-v, sharpness)
@@ -96,9 +97,10 @@ def smooth_power(
         pressure = (d.gain_out * force + d.back_out) * smooth_heaviside(v - epsilon, sharpness)
         pressure = pressure + (d.back_in - d.gain_in * force) * smooth_heaviside(-v - epsilon, sharpness)
         pressures.append(MEGA * pressure * smooth_heaviside(KILO * force * v, sharpness))  # eq. (41)
-    highest = reduce(lambda a, b: smooth_maximum(a, b, small), pressures)
-    supply = of_pump(cost, highest + MEGA * pump.ls_margin, MEGA * pump.constant_pressure)  # eq. (40)
-    return hydraulics.pump_power(supply, flow * KILO / MEGA, *shaft_of(pump).in_kilowatts())
+    supply = MEGA * constant
+    if sensing:
+        supply = reduce(lambda a, b: smooth_maximum(a, b, small), pressures) + supply  # eq. (40)
+    return hydraulics.pump_power(supply, flow * KILO / MEGA, *shaft.in_kilowatts())
 
 
 # The nonlinear program.

@@ -26,6 +26,13 @@ def supply_of(pump: Pump, supply: Supply) -> tuple[float, Shaft]:
     return pump.ls_margin if supply is Supply.LOAD_SENSING else pump.constant_pressure, shaft_of(pump)
 
 
+def demanded_pressure(crane: Crane, cylinder: int, velocity: Any, force: Any) -> Any:
+    """Pressure that a cylinder, by its number, demands of a load-sensing pump [Pa]. Eq. (41)."""
+    d = crane.drives[cylinder]
+    line = d.gain_out, d.back_out, d.gain_in, d.back_in
+    return hydraulics.counted_pressure(velocity, force, crane.machine.driven_velocity, *line)
+
+
 def rate(crane: Crane, cost: str, velocity: Sequence[Any], force: Sequence[Any]) -> Any:
     """Rate of a cost: eqs. (36) and (43), and the other costs of the papers' comparisons.
 
@@ -41,16 +48,11 @@ def rate(crane: Crane, cost: str, velocity: Sequence[Any], force: Sequence[Any])
     terms = terms_of(crane, cost)
     constant, shaft = supply_of(crane.machine.pump, terms.supply)
     total, flow, highest = 0.0, 0.0, 0.0
-    for i, (v, d) in enumerate(zip(velocity, crane.drives, strict=True)):
+    for i, v in enumerate(velocity):
         total = total + terms.square[i] * v * v
         flow = flow + hydraulics.cylinder_flow(v, terms.area_out[i], terms.area_in[i])
         if terms.work:
             total = total + hydraulics.positive_work(v, force[i])
-        if terms.supply is Supply.LOAD_SENSING:  # eqs. (40)-(41)
-            highest = np.maximum(
-                highest,
-                hydraulics.counted_pressure(
-                    v, force[i], crane.machine.driven_velocity, d.gain_out, d.back_out, d.gain_in, d.back_in
-                ),
-            )
+        if terms.supply is Supply.LOAD_SENSING:  # eq. (40)
+            highest = np.maximum(highest, demanded_pressure(crane, i, v, force[i]))
     return total + hydraulics.pump_power(constant + highest, flow, *shaft)

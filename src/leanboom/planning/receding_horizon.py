@@ -20,8 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leanboom.components.costs import PUMPS, of_pump
-from leanboom.components.pump_power import shaft_of
+from leanboom.components.costs import COSTS, PUMPS
 from leanboom.dynamic_programming import grids, value_function
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.evaluation.evaluate import Evaluation, check_measurable, evaluate
@@ -29,6 +28,7 @@ from leanboom.evaluation.safe_stop import Continuation
 from leanboom.formulas import hydraulics
 from leanboom.model import crane as cranes
 from leanboom.model import motion
+from leanboom.model.cost_rates import demanded_pressure, supply_of
 from leanboom.model.motion import Motion
 from leanboom.model.task import Part, Task
 from leanboom.planning.replanning import Search, track
@@ -79,21 +79,19 @@ def price(problem: Problem, cost: str) -> Price:
     low, high = float(problem.lower[-1]), float(problem.upper[-1])
     pose = cranes.pose(crane, problem.plane[-1], 0.5 * (low + high))
     still, forth = cranes.move(pose, 0.0, 0.0), cranes.move(pose, 1.0, 0.0)
-    flow, pressure = 0.0, 0.0
-    for drive, v0, v1, load in zip(
-        crane.drives[moving], still.velocity[moving], forth.velocity[moving], still.load[moving], strict=True
-    ):
-        flow += float(hydraulics.cylinder_flow(v1 - v0, drive.area_out, drive.area_in))
-        line = drive.gain_out, drive.back_out, drive.gain_in, drive.back_in
-        against = np.sign(load)  # 1 m/s, the way its load is against it
-        pressure = max(pressure, float(hydraulics.counted_pressure(against, load, machine.driven_velocity, *line)))
-    supply = of_pump(cost, pressure + machine.pump.ls_margin, machine.pump.constant_pressure)
+    flow, highest = 0.0, 0.0
+    for i in range(len(crane.drives))[moving]:
+        drive, load = crane.drives[i], still.load[i]
+        flow += float(hydraulics.cylinder_flow(forth.velocity[i] - still.velocity[i], drive.area_out, drive.area_in))
+        highest = max(highest, float(demanded_pressure(crane, i, np.sign(load), load)))  # 1 m/s against its load
+    constant, shaft = supply_of(machine.pump, COSTS[cost].supply)
+    supply = constant + (highest if COSTS[cost].loads else 0.0)
     shortest, longest = feasible_strokes.stroke_range(problem.task)
     return Price(
         low,
         high,
         ROOM * (longest - shortest),
-        WORTH * float(hydraulics.pump_power(supply, flow, *shaft_of(machine.pump))),
+        WORTH * float(hydraulics.pump_power(supply, flow, *shaft)),
         BRAKE * machine.redundant.acceleration_limit,
         value_function.slopes(problem, cost)[0],
     )

@@ -13,7 +13,7 @@ import numpy as np
 from leanboom.components.costs import Supply
 from leanboom.formulas import hydraulics
 from leanboom.model import crane as cranes
-from leanboom.model.cost_rates import supply_of, terms_of
+from leanboom.model.cost_rates import demanded_pressure, supply_of, terms_of
 from leanboom.problem import layout
 from leanboom.problem.stages import Problem
 
@@ -63,12 +63,10 @@ def prescribed(problem: Problem, cost: str) -> tuple[np.ndarray, np.ndarray, np.
         return zero, zero, zero
     pose = cranes.pose(crane, problem.plane, 0.5 * (problem.lower + problem.upper))
     moving = cranes.move(pose, 0.0, 0.0)
-    v, force, d = moving.velocity[0], cranes.forces(pose, moving)[0], crane.drives[0]
+    v, force = moving.velocity[0], cranes.forces(pose, moving)[0]
     terms = terms_of(crane, cost)
     flow = hydraulics.cylinder_flow(v, terms.area_out[0], terms.area_in[0])
-    pressure = hydraulics.counted_pressure(
-        v, force, crane.machine.driven_velocity, d.gain_out, d.back_out, d.gain_in, d.back_in
-    )
+    pressure = demanded_pressure(crane, 0, v, force)
     rate = terms.square[0] * v * v
     return flow, pressure, rate + hydraulics.positive_work(v, force) if terms.work else rate
 
@@ -87,11 +85,16 @@ def cylinder_table(problem: Problem, cost: str) -> np.ndarray:
     return np.array(rows)[problem.moving]
 
 
-def setting(problem: Problem, cost: str, slopes: tuple[float, float, float, float]) -> np.ndarray:
+def threshold(problem: Problem, share: float = HELD) -> float:
+    """Share of the velocity that counts as driven [m/s], below which planned motions hold a cylinder."""
+    return share * problem.crane.machine.driven_velocity
+
+
+def setting(problem: Problem, cost: str, slopes: tuple[float, float, float, float], held: float = HELD) -> np.ndarray:
     """The kernels' scalars; slopes are the penalties per violated m, m/s (state), m/s and m/s^2 (cylinders)."""
     machine, terms = problem.crane.machine, terms_of(problem.crane, cost)
     supply, (efficiency, *losses) = supply_of(machine.pump, terms.supply)
     return np.array(
-        [problem.step, terms.supply is Supply.LOAD_SENSING, terms.work, HELD * machine.driven_velocity, supply,
+        [problem.step, terms.supply is Supply.LOAD_SENSING, terms.work, threshold(problem, held), supply,
          efficiency, *slopes, *losses]
     )  # fmt: skip
