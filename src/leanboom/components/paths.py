@@ -154,7 +154,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """A path whose target moves on the way: from a time on the tool is led over, smoothly, to a path beside it."""
+    """A path blended, from `since` over `over` seconds by a quintic, into a copy of itself shifted by `offset`."""
 
     path: Path
     offset: tuple[float, float, float]  # how far the rest of the path moves [m]

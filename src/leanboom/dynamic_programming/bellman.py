@@ -169,7 +169,7 @@ def interpolate(ahead, c, w):
 
 @njit(cache=True, error_model="numpy")
 def limit_controls(node, outside, w, k, stage, cylinder, setting, row):
-    """Admissible controls of a row, and what its states cost beyond their limits whatever the control."""
+    """Acceleration bounds at each velocity node of a row, and the limit penalties that do not depend on it."""
     base, low, high = row.state[BASE], row.state[LOW], row.state[HIGH]
     slope_v, slope_a = setting[SLOPE_V], setting[SLOPE_A]
     everywhere = setting[SLOPE_C] * outside + setting[STEP] * stage[k, FIXED_COST]
@@ -211,7 +211,7 @@ def keep_to_nodes(w, ahead, step, row):
 
 @njit(cache=True, error_model="numpy")
 def charge(node, w, k, stage, cylinder, setting, row):
-    """Cost of a row's states whatever the control, and the rate of what depends on it."""
+    """Stage cost of a row's states without the terms that depend on the acceleration, and the factor of those."""
     base, rate, flow = row.state[BASE], row.state[RATE], row.state[FLOW]
     step, prescribed = setting[STEP], stage[k, FIXED_FLOW]
     for j in range(w.size):
@@ -265,7 +265,7 @@ def load_lines(node, w, cylinder, setting, lowest, row):
 
 @njit(cache=True, error_model="numpy")
 def running_cost(u, j, sensing, lowest, line):
-    """What state j's control costs by itself, per `RATE`: supply pressure (load-sensing) or positive work."""
+    """Acceleration-dependent term of state j per `RATE`: highest demanded pressure (load-sensing) or positive work."""
     pressure, work = lowest, 0.0
     for i in range(line.shape[0]):
         along = line[i, LOAD, j] + line[i, GAIN, j] * u
@@ -277,10 +277,10 @@ def running_cost(u, j, sensing, lowest, line):
 
 @njit(cache=True, error_model="numpy")
 def settle_lines(states, sensing, lowest, row):
-    """States whose running cost is one line over all admissible controls: it moves into `BASE` and `SLOPE`.
+    """Where the stage cost is affine in the acceleration over its whole range, fold it into `BASE` and `SLOPE`.
 
-    A cylinder is loaded between two controls if it is at both ends, and so is the one that asks for most. States of
-    which this does not hold are `MIXED`.
+    A cylinder is loaded between two accelerations if it is at both ends, and so is the one that demands most. States
+    of which this does not hold are `MIXED`: piecewise affine.
     """
     line, low, high, base, rate = row.line, row.state[LOW], row.state[HIGH], row.state[BASE], row.state[RATE]
     slope, mixed = row.state[SLOPE], row.state[MIXED]
@@ -418,7 +418,7 @@ def best_controls(node, outside, c, w, k, stage, cylinder, setting, ahead, row):
 
     Only the corners of this (nearly) piecewise linear function of u are tried: the ends of the admissible
     interval, controls that reach a velocity node, switches of a cylinder's load sign, and crossings of two
-    counted pressures.
+    demanded pressures.
 
     Args:
         node: Coefficients at the row's position, (moving cylinders, COEFFICIENTS).

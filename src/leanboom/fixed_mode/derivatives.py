@@ -12,7 +12,7 @@ position are those of the fifth-degree polynomial through the six nearest nodes,
 | --- | --- | --- |
 | c, w, u | position, velocity, acceleration of the redundant cylinder | m, m/s, m/s^2 |
 | v, a, F | velocity, acceleration, force of a cylinder | m/s, m/s^2, N |
-| p, s | highest counted pressure, flow of a cylinder | MPa, l/s |
+| p, s | highest demanded pressure, flow of a cylinder | MPa, l/s |
 | g, t, m | limit g >= 0, its slack, its multiplier | |
 """
 
@@ -98,7 +98,7 @@ class Program(NamedTuple):
     low: np.ndarray  # lower limits of position and of the cylinders' velocities, (stages + 1, 1 + cylinders)
     high: np.ndarray
     mode: np.ndarray  # (2, stages, 4, cylinders)
-    base: np.ndarray  # least counted pressure, (stages + 1,)
+    base: np.ndarray  # least demanded pressure, (stages + 1,)
     flow: np.ndarray  # flow of what the path alone moves, (stages + 1,)
     cylinder: np.ndarray  # (5, cylinders)
     pump: np.ndarray  # (5,)

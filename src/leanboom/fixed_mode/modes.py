@@ -1,9 +1,9 @@
-"""Polish with the switches fixed: the smooth problem that remains once the combinatorial choices are made.
+"""Fixed-mode nonlinear program: each cylinder's direction and load sign are held fixed, so maxima become constraints.
 
-The dynamic program decides globally which cylinders extend, retract or are held at every stage, and which carry
-load. With those modes fixed, maxima become variables: the flow of a cylinder s >= A v, s >= -B v; the supply
-p >= every loaded cylinder's pressure; the cost p x sum(s). No smoothing is left, so a nonlinear program solves it to
-the bound; `interior_point` does. Modes enter as parameters and bounds only: the problem is built once and solved again
+The dynamic program decides globally which cylinders extend, retract or are held at every stage, and which support
+their load. With these modes fixed, a cylinder's flow is a variable s >= A v, s >= -B v, and so is the supply, p >=
+every supporting cylinder's demanded pressure; the cost is p x sum(s). No smoothing is left; `interior_point` solves it.
+Modes enter as parameters and bounds only: the problem is built once and solved again
 as modes are read off the answer.
 
 Both ends of every interval are evaluated (the acceleration is constant between them), which makes the
@@ -14,7 +14,7 @@ quadrature second order and keeps acceleration limits on either side of a switch
 | c, w, u | position, velocity, acceleration of the redundant cylinder | m, m/s, m/s^2 |
 | v | velocities of the other moving cylinders | m/s |
 | s | pump flow of each moving cylinder | l/s |
-| p | highest counted pressure at an end of an interval | MPa |
+| p | highest demanded pressure at an end of an interval | MPa |
 | alpha, beta, gamma | the row alpha p - beta F - gamma >= 0 that says what a mode asks of a load | |
 """
 

@@ -1,4 +1,4 @@
-"""What the two papers print, and the solution of ours that stands beside each value.
+"""Published values of the two papers, and the leanboom run that each is compared with.
 
 *3-DOF* is Nurmi and Mattila, Automation in Construction 73 (2017); *4-DOF* is Nurmi and Mattila, Energies 10 (2017)
 647. The second column of Tables 2 and 3 is from closed-loop simulations with pressure dynamics and friction. The bar
