@@ -14,7 +14,7 @@ import pytest
 
 from bundled_texts import FORWARDER, HALF_CYCLE, written
 from leanboom.components.linkages import Polynomial
-from leanboom.components.valves import Connection, MobileValve
+from leanboom.components.valves import METERING, Connection, MobileValve
 from leanboom.errors import InputError
 from leanboom.io.loading import (
     bundled_machines,
@@ -26,7 +26,7 @@ from leanboom.io.loading import (
     load_task,
 )
 from leanboom.io.yaml_source import parse
-from leanboom.model.machine import METERING, Machine
+from leanboom.model.machine import Machine
 from leanboom.model.task import Lines, Spline, sample
 from leanboom.quantities.units import KINDS, slip, write
 from leanboom.quantities.units import parse as quantity
@@ -348,8 +348,8 @@ def test_a_changed_value_is_dumped_in_si_units_without_its_old_status(tmp_path):
 def test_a_machine_that_no_file_could_hold_is_not_dumped():
     machine = load_machine("loader")
     with pytest.raises(InputError) as caught:
-        dump_machine(replace(machine, bodies=tuple(replace(body, mass=0.0) for body in machine.bodies[:1])))
-    assert str(caught.value) == f"machine loader: bodies.{machine.bodies[0].name}.mass = 0.0; must be above 0"
+        dump_machine(replace(machine, joints=(*machine.joints[:-1], replace(machine.joints[-1], lower=-0.1))))
+    assert str(caught.value) == "machine loader: joints.extension[0] = -0.1; must be at least 0"
 
 
 # Schema and start-up
@@ -369,7 +369,7 @@ def test_the_schemas_know_every_key_of_the_bundled_files():
         assert set(schema["required"]) <= set(data)
         assert closed(schema)
     machine = json_schema("machine")
-    geometry = machine["$defs"]["GeometryKeys"]
+    geometry = machine["$defs"]["Geometry"]
     assert geometry["required"] == ["base_x", "base_z", "boom", "offset", "outer", "slewing"]
     assert geometry["properties"]["boom"]["type"] == ["string", "number"]
     assert machine["$defs"]["CylinderKeys"]["properties"]["connection"]["enum"] == [

@@ -12,11 +12,9 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from leanboom.components.pumps import Pump
-from leanboom.components.valves import Connection, IndependentMetering, MobileValve
+from leanboom.components.valves import Connection, Drive, IndependentMetering, MobileValve
 from leanboom.formulas import hydraulics
 from leanboom.io.loading import load_machine
-from leanboom.model import hydraulic_drives
-from leanboom.model.hydraulic_drives import Drive
 
 FORWARDER, LOADER = load_machine("forwarder"), load_machine("loader")
 BASE, LIFT, TILT, EXTENSION = FORWARDER.cylinders
@@ -36,7 +34,7 @@ def line(drive, F, extending):
 
 
 def with_valve(cylinder, tank=0.0, ratio=1.0, extend=1.5, retract=1.9):
-    return hydraulic_drives.drive(cylinder, MobileValve(DROP, extend, retract, ratio), pump(tank))
+    return MobileValve(DROP, extend, retract, ratio).steady(cylinder, pump(tank))
 
 
 # Pressures
@@ -125,7 +123,7 @@ def test_independent_metering_balances_the_force(back, F):
     """Eqs. (34)-(35), 3-DOF paper: |F| over the driven area, plus the other side's pressure by the area ratio."""
     cylinder = LOADER.cylinders[0]
     a, b = cylinder.piston_area, cylinder.rod_side_area
-    drive = hydraulic_drives.drive(cylinder, IndependentMetering(back, 1e6), LOADER.pump)
+    drive = IndependentMetering(back, 1e6).steady(cylinder, LOADER.pump)
     assert line(drive, F, extending=True) * a - back * b == pytest.approx(F, rel=1e-9, abs=1e-6)
     assert back * a - line(drive, F, extending=False) * b == pytest.approx(F, rel=1e-9, abs=1e-6)
     if F > 0.0:  # driven against its load when extending
@@ -134,12 +132,12 @@ def test_independent_metering_balances_the_force(back, F):
 
 def test_independent_metering_plans_with_the_planning_value():
     """Not with the pressure held off-side in the closed loop."""
-    for drive in hydraulic_drives.drives(LOADER):
+    for drive in LOADER.drives:
         assert (drive.back_out, drive.back_in) == (0.0, 0.0)
 
 
 def test_drives_come_in_joint_order():
-    drives = hydraulic_drives.drives(FORWARDER)
+    drives = FORWARDER.drives
     areas = [(c.piston_area, c.rod_side_area) for c in FORWARDER.cylinders]
     assert [(d.area_out, d.area_in) for d in drives] == [
         areas[0],
@@ -181,7 +179,7 @@ def test_base_torque_at_the_highest_pressure():
 )
 def test_flows_at_the_velocity_limits(cylinder, extending, retracting):
     """l/min, worked out elsewhere; the lift sinks without the pump."""
-    drive = hydraulic_drives.drive(cylinder, FORWARDER.valve, FORWARDER.pump)
+    drive = FORWARDER.valve.steady(cylinder, FORWARDER.pump)
     v = np.array([1.0, -1.0]) * cylinder.velocity_limit
     flow = hydraulics.cylinder_flow(v, drive.area_out, drive.area_in) * 6e4
     assert flow == pytest.approx((extending, retracting), abs=0.5)
@@ -247,14 +245,14 @@ def test_counted_pressure_is_equation_41(v, F):
 
 @given(v=st.floats(-0.4, 0.4), F=FORCE)
 def test_a_counted_pressure_is_never_negative(v, F):
-    for drive in (*hydraulic_drives.drives(FORWARDER), *hydraulic_drives.drives(LOADER)):
+    for drive in (*FORWARDER.drives, *LOADER.drives):
         assert counted(v, F, drive) >= -1e-300  # F v may underflow to zero
 
 
 @given(v=SPEED, F=st.floats(1.0, 2e5))
 def test_a_pump_gives_at_least_the_work_its_cylinder_does(v, F):
     """Counted pressure times pump flow covers force times velocity, extending and retracting."""
-    for drive in (*hydraulic_drives.drives(FORWARDER), *hydraulic_drives.drives(LOADER)):
+    for drive in (*FORWARDER.drives, *LOADER.drives):
         for sign in (1.0, -1.0):
             flow = hydraulics.cylinder_flow(sign * v, drive.area_out, drive.area_in)
             if flow > 0.0:

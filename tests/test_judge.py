@@ -14,7 +14,6 @@ from leanboom.evaluation.evaluate import SAMPLE, evaluate, hydraulic_state, judg
 from leanboom.formulas import kinematics
 from leanboom.io.loading import bundled_tasks, load_machine, load_task
 from leanboom.model import crane as cranes
-from leanboom.model import hydraulic_drives
 from leanboom.model.machine import Joint
 from leanboom.model.motion import from_velocities
 from leanboom.model.task import Lines, Task, sample
@@ -165,7 +164,7 @@ def test_columns_fit_together(name):
     assert largest(judged.power_cp - pump.constant_pressure * judged.pump_flow) < 1e-9
     assert np.all(judged.flow >= 0.0)
     # Pressures and flows from the judged velocities and forces, cylinder by cylinder.
-    for i, d in enumerate(hydraulic_drives.drives(task.machine)):
+    for i, d in enumerate(task.machine.drives):
         v, force = judged.velocity[:, i], judged.force[:, i]
         loaded = (np.abs(v) > task.machine.driven_velocity) & (v * force > 0.0)
         line = np.where(v > 0.0, d.gain_out * force + d.back_out, d.back_in - d.gain_in * force)

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from leanboom.components.circuits import Circuit
 from leanboom.components.friction import Friction
+from leanboom.components.valves import METERING
 from leanboom.formulas import fluid
 from leanboom.io.loading import load_machine, load_task
 from leanboom.model import crane as cranes
-from leanboom.model.machine import METERING, Circuit
 from leanboom.simulation import controllers, plant, valve_sections
 from leanboom.simulation.integrator import Integrator
 from test_dynamics import MuJoCo, crane

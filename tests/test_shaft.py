@@ -302,12 +302,14 @@ def test_the_map_of_the_documentation_is_this_one(tmp_path):
     assert load_machine(path).pump == loaded(tmp_path).pump
 
 
-def test_a_map_that_no_file_could_hold_is_not_dumped(tmp_path):
-    machine = loaded(tmp_path)
-    wrong = replace(machine.pump.efficiency, total=(((0.5, 2.0), (0.5, 0.5)),))
+def test_a_map_that_no_file_could_hold_is_refused_in_python(tmp_path):
+    given = loaded(tmp_path).pump.efficiency
     with pytest.raises(InputError) as caught:
-        dump_machine(replace(machine, pump=replace(machine.pump, efficiency=wrong)))
-    assert str(caught.value) == "machine loader: pump.efficiency.total[0][0][1] = 2.0; must be above 0 and at most 1"
+        replace(given, total=(((0.5, 2.0), (0.5, 0.5)),))
+    assert str(caught.value) == "pump.efficiency.total[0][0][1] = 2; must be above 0 and at most 1"
+    with pytest.raises(InputError) as caught:
+        replace(given, speeds=(30.0, 25.0))
+    assert str(caught.value) == "pump.efficiency.speeds = [30.0, 25.0]; every value must be above the one before it"
 
 
 BAD_MAPS = {
@@ -404,9 +406,9 @@ def test_a_list_is_no_efficiency(tmp_path):
 
 def test_the_schema_allows_a_number_and_a_map():
     schema = json_schema("machine")["$defs"]
-    number, mapping = schema["PumpKeys"]["properties"]["efficiency"]["anyOf"]
-    assert number["type"] == ["string", "number"] and mapping == {"$ref": "#/$defs/EfficiencyKeys"}
-    assert schema["EfficiencyKeys"]["properties"]["total"]["items"]["items"]["minItems"] == 2
+    number, mapping = schema["Pump"]["properties"]["efficiency"]["anyOf"]
+    assert number["type"] == ["string", "number"] and mapping == {"$ref": "#/$defs/EfficiencyMap"}
+    assert schema["EfficiencyMap"]["properties"]["total"]["items"]["items"]["minItems"] == 2
 
 
 # What is said

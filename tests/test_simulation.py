@@ -9,8 +9,8 @@ import pytest
 
 import leanboom as lb
 from leanboom.components.pumps import EfficiencyMap
+from leanboom.components.valves import METERING
 from leanboom.errors import InputError
-from leanboom.model.machine import METERING
 from leanboom.model.motion import from_velocities
 from leanboom.model.task import Lines
 from leanboom.simulation import closed_loop, controllers, integrator, plant

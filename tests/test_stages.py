@@ -16,7 +16,6 @@ from leanboom.dynamic_programming import grids
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.io.loading import bundled_tasks, load_task
 from leanboom.model import crane as cranes
-from leanboom.model import hydraulic_drives
 from leanboom.model.machine import Joint
 from leanboom.model.task import Lines, Task, sample
 from leanboom.problem import feasible_strokes, layout, stage_arrays, stages
@@ -396,7 +395,7 @@ def test_a_crane_without_a_base_has_nothing_prescribed():
 def test_cylinder_table_holds_drives_and_limits_of_the_moving_cylinders():
     problem = PROBLEMS["forwarder-horizontal"]
     table = stage_arrays.cylinder_table(problem, "ls")
-    drives = hydraulic_drives.drives(FORWARDER)
+    drives = FORWARDER.drives
     assert table.shape == (3, layout.CYLINDER_COLUMNS)
     for row, d, c in zip(table, drives[1:], FORWARDER.cylinders[1:], strict=True):
         assert row[: layout.BACK_IN + 1].tolist() == [

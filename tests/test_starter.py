@@ -10,9 +10,10 @@ from typer.testing import CliRunner
 from leanboom.cli import app
 from leanboom.errors import InputError
 from leanboom.io import loading, starter
-from leanboom.io.schema import MachineKeys, Section, TaskKeys
+from leanboom.io.schema import MachineKeys, TaskKeys
 from leanboom.io.yaml_source import STATUSES
 from leanboom.planning import planner
+from leanboom.quantities.declarations import OrSection, Section, Variant, meanings
 from leanboom.report import facts
 
 
@@ -51,27 +52,29 @@ def test_every_value_of_the_new_machine_says_that_it_is_an_example(tmp_path):
     assert all(status in starter.text("machine").split("geometry:")[0] for status in STATUSES)
 
 
-def sections(model, found):
-    """The kinds of sections a file may have."""
-    found.add(model)
-    for part in re.findall(r"\w+Keys|CylinderSet", str({n: f.annotation for n, f in model.model_fields.items()})):
-        inner = next(kind for kind in Section.__subclasses__() if kind.__name__ == part)
-        if inner not in found:
-            sections(inner, found)
-    return found
+def sections(rule):
+    """The sections a file may have, told apart by their type or not."""
+    if isinstance(rule, Variant):
+        parts = rule.sections
+    elif isinstance(rule, OrSection):
+        parts = (rule.section,)
+    else:
+        parts = () if rule.section_of(None) is None else (rule.section_of(None),)
+    found = set(parts)
+    return found.union(*(sections(field.rule) for part in parts for field in part.fields.values()))
 
 
-@pytest.mark.parametrize(("kind", "model"), [("machine", MachineKeys), ("task", TaskKeys)])
-def test_every_key_of_a_section_that_is_there_is_given_or_offered(tmp_path, kind, model):
+@pytest.mark.parametrize(("kind", "made"), [("machine", MachineKeys), ("task", TaskKeys)])
+def test_every_key_of_a_section_that_is_there_is_given_or_offered(kind, made):
     """Sections told apart by their type, such as linkages, are there as far as the examples have them."""
     text = starter.text(kind)
     others = "FourBar|Polynomial|IndependentMetering|Efficiency|Circuit|Spline"
-    for section in sections(model, set()):
-        if re.match(others, section.__name__):
+    for section in sections(Section(made)):
+        if re.match(others, section.made.__name__):
             continue
-        for name, field in section.model_fields.items():
-            assert re.search(rf"^ *(# )?{name}:", text, re.MULTILINE), f"{section.__name__}.{name}"
-            assert not field.description or f"# {field.description}" in text
+        for name in section.fields:
+            assert re.search(rf"^ *(# )?{name}:", text, re.MULTILINE), f"{section.made.__name__}.{name}"
+            assert f"# {meanings(section.made).get(name, '')}" in text
 
 
 def test_nothing_is_overwritten(tmp_path):

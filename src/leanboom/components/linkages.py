@@ -1,21 +1,45 @@
-"""Linkages between a cylinder and its joint."""
+"""Linkages between a cylinder and its joint.
+
+A linkage is a frozen dataclass of lengths and angles with the formula of its length. Its line in `LINKAGES` gives it a
+name in machine files, which are read, written and described by its fields.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from math import pi
+from typing import Annotated, Any
 
 from leanboom.quantities import ranges
-from leanboom.quantities.ranges import checked, hold, listed
+from leanboom.quantities.declarations import hold_declared
+from leanboom.quantities.rules import Listing
+from leanboom.quantities.types import Angle, Number, PositiveLength, PositiveNumber
+
+
+class Linkage(ABC):
+    """How a cylinder moves its joint."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        hold_declared(self, "linkage")
+
+    @abstractmethod
+    def length_arm_slope(self, q: Any) -> tuple[Any, Any, Any]:
+        """Length [m], signed torque arm and its slope [m/rad, m/rad^2] at joint position q, numbers or arrays."""
+
+    def closes(self, q: Any) -> Any:
+        """Whether the linkage can be put together at joint position q."""
+        return abs(q) >= 0.0  # at any position
 
 
 @dataclass(frozen=True, slots=True)
-class RackAndPinion:
-    """Constant torque arm [m]: the pinion's pitch radius."""
+class RackAndPinion(Linkage):
+    """A rack turning a pinion."""
 
-    arm: float
-
-    def __post_init__(self) -> None:
-        hold(self, "linkage", arm=ranges.POSITIVE_LENGTH)
+    arm: PositiveLength
+    """Pitch radius of the pinion."""
 
     def length_arm_slope(self, q):
         """Length [m], signed torque arm and its slope [m/rad, m/rad^2] at joint position q."""
@@ -23,15 +47,16 @@ class RackAndPinion:
 
 
 @dataclass(frozen=True, slots=True)
-class Triangle:
-    """Cylinder spanning a joint: c^2 = long^2 + short^2 - 2 long short cos(q + angle). Eq. (13), eq. (30)."""
+class Triangle(Linkage):
+    """A cylinder spanning the joint: c^2 = long^2 + short^2 - 2 long short cos(q + angle)."""
 
-    long: float  # [m]
-    short: float  # [m]
-    angle: float  # [rad]; q(0) of eq. (30), pi/2 - b11 - b12 of eq. (13)
-
-    def __post_init__(self) -> None:
-        hold(self, "linkage", long=ranges.POSITIVE_LENGTH, short=ranges.POSITIVE_LENGTH, angle=ranges.ANGLE)
+    # Eqs. (13), (30); the angle is q(0) of eq. (30), pi/2 - b11 - b12 of eq. (13).
+    long: PositiveLength
+    """Joint to the farther pin."""
+    short: PositiveLength
+    """Joint to the nearer pin."""
+    angle: Angle
+    """Angle between the two pins, seen from the joint, at joint angle 0."""
 
     def length_arm_slope(self, q):
         """Length [m], signed torque arm and its slope [m/rad, m/rad^2] at joint position q."""
@@ -41,21 +66,26 @@ class Triangle:
 
 
 @dataclass(frozen=True, slots=True)
-class FourBar:
-    """Cylinder driving a joint through lever and coupler, eq. (14); names as in the 4-DOF paper [m, rad]."""
+class FourBar(Linkage):
+    """A cylinder driving the joint through lever and coupler."""
 
-    L21: float
-    L22: float
-    L23: float
-    L24: float
-    L25: float
-    a21: float
-    a22: float
-    b21: float
-
-    def __post_init__(self) -> None:
-        bars = dict.fromkeys(("L21", "L22", "L23", "L24", "L25"), ranges.POSITIVE_LENGTH)
-        hold(self, "linkage", **bars, **dict.fromkeys(("a21", "a22", "b21"), ranges.ANGLE))
+    # Eq. (14), names as in the 4-DOF paper.
+    L21: PositiveLength
+    """Cylinder's pin on the boom to the lever's pivot."""
+    L22: PositiveLength
+    """Lever's pivot to the tilt joint."""
+    L23: PositiveLength
+    """Tilt joint to the coupler's pin on the outer boom."""
+    L24: PositiveLength
+    """Coupler."""
+    L25: PositiveLength
+    """Lever."""
+    a21: Angle
+    """Direction of the lever's pivot, seen from the tilt joint, against the boom."""
+    a22: Angle
+    """Direction of the coupler's pin, seen from the tilt joint, against the outer boom."""
+    b21: Angle
+    """Direction of the cylinder's pin, seen from the lever's pivot, against the boom."""
 
     def length_arm_slope(self, q):
         """Length [m], signed torque arm and its slope [m/rad, m/rad^2] at joint position q."""
@@ -63,17 +93,21 @@ class FourBar:
 
         return four_bar(q, self.L21, self.L22, self.L23, self.L24, self.L25, self.a21, self.a22, self.b21)
 
+    def closes(self, q):
+        """Whether eq. (14) holds at joint position q: lever and coupler meet (acos) and the asin is on its branch."""
+        import numpy as np
+
+        squared = self.L22**2 + self.L23**2 - 2.0 * self.L22 * self.L23 * np.cos(pi + q + self.a21 + self.a22)
+        cosine = (self.L25**2 + squared - self.L24**2) / (2.0 * self.L25 * np.sqrt(squared))
+        return (np.abs(cosine) < 1.0) & (self.L22**2 + squared > self.L23**2)
+
 
 @dataclass(frozen=True, slots=True)
-class Polynomial:
-    """Cylinder length as a polynomial of the joint angle, highest power first; the quintic of eq. (14) [m]."""
+class Polynomial(Linkage):
+    """Cylinder length in m as a polynomial of the joint angle in rad."""
 
-    coefficients: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        given = listed("linkage.coefficients", self.coefficients, "2 to 12 numbers, highest power first", 2, 12)
-        kept = tuple(checked(f"linkage.coefficients[{i}]", value, ranges.NUMBER) for i, value in enumerate(given))
-        object.__setattr__(self, "coefficients", kept)
+    coefficients: Annotated[tuple[Number, ...], Listing("2 to 12 numbers, highest power first", ranges.NUMBER, 2, 12)]
+    """Highest power first."""
 
     def length_arm_slope(self, q):
         """Length [m], signed torque arm and its slope [m/rad, m/rad^2] at joint position q."""
@@ -86,17 +120,21 @@ class Polynomial:
 
 
 @dataclass(frozen=True, slots=True)
-class Telescope:
-    """Extension cylinder: length = ratio x joint; 1/2 where a chain doubles the stroke (r4 of the paper)."""
+class Telescope(Linkage):
+    """Cylinder length proportional to the extension."""
 
-    ratio: float
-
-    def __post_init__(self) -> None:
-        hold(self, "linkage", ratio=ranges.POSITIVE_NUMBER)
+    ratio: PositiveNumber  # r4 of the 4-DOF paper
+    """Cylinder length per extension: 1, or 0.5 where a chain doubles the stroke."""
 
     def length_arm_slope(self, q):
         """Length [m], signed torque arm [m/m] and its slope [1/m] at joint position q."""
         return self.ratio * q, self.ratio + 0.0 * q, 0.0 * q
 
 
-Linkage = RackAndPinion | Triangle | FourBar | Polynomial | Telescope
+LINKAGES: dict[str, type[Linkage]] = {
+    "rack_and_pinion": RackAndPinion,
+    "triangle": Triangle,
+    "four_bar": FourBar,
+    "polynomial": Polynomial,
+    "telescope": Telescope,
+}

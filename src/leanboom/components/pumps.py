@@ -3,40 +3,61 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from leanboom.quantities import ranges
-from leanboom.quantities.ranges import hold
+from leanboom.quantities.declarations import OrSection, Section, hold_declared
+from leanboom.quantities.rules import Listing, rising
+from leanboom.quantities.types import Displacement, Efficiency, Flow, PositivePressure, Pressure, Speed
+
+Speeds = Annotated[tuple[Speed, ...], Listing("at least one speed", ranges.SPEED, 1, order=rising)]
+Displacements = Annotated[
+    tuple[Displacement, ...], Listing("at least two displacements", ranges.DISPLACEMENT, 2, order=rising)
+]
+Pressures = Annotated[
+    tuple[PositivePressure, ...], Listing("at least two pressures", ranges.POSITIVE_PRESSURE, 2, order=rising)
+]
+_ROW = Listing("efficiencies, one for each of pressures", ranges.EFFICIENCY, 2)
+_TABLE = Listing("rows, one for each of displacements", _ROW, 2)
+Row = Annotated[tuple[Efficiency, ...], _ROW]
+Table = Annotated[tuple[Row, ...], _TABLE]
+Tables = Annotated[tuple[Table, ...], Listing("tables, one for each of speeds", _TABLE, 1)]
 
 
 @dataclass(frozen=True, slots=True)
 class EfficiencyMap:
-    """Efficiency of pump and drive together, measured over speed, displacement and pressure; axes rise.
+    """Efficiency of pump and drive together over speed, displacement and pressure."""
 
-    Displacement is the delivered flow over the speed.
-    """
+    speed: Speed
+    """Of the drive, from the first to the last of speeds."""
+    speeds: Speeds
+    """At which the tables were measured, rising."""
+    displacements: Displacements
+    """Delivered flow over speed, rising."""
+    pressures: Pressures
+    """Rising."""
+    total: Tables
+    """A table for each speed, in it a row for each displacement, in it a total efficiency for each pressure."""
 
-    speed: float  # of the drive, within `speeds` [rev/s]
-    speeds: tuple[float, ...]  # [rev/s]
-    displacements: tuple[float, ...]  # [m^3/rev]
-    pressures: tuple[float, ...]  # [Pa]
-    total: tuple[tuple[tuple[float, ...], ...], ...]  # (speeds, displacements, pressures)
+    def __post_init__(self) -> None:
+        hold_declared(self, "pump.efficiency")
 
 
 @dataclass(frozen=True, slots=True)
 class Pump:
-    """The pump and its two ways to be run. Efficiency is that of pump and drive together (eqs. 36, 43)."""
+    """The pump."""
 
-    constant_pressure: float  # CP supply [Pa]
-    ls_margin: float  # delta p_LS [Pa]
-    max_pressure: float  # [Pa]
-    max_flow: float  # [m^3/s]
-    tank_pressure: float = 0.0  # [Pa]
-    efficiency: float | EfficiencyMap = 1.0  # what becomes of it is in `shaft`
+    constant_pressure: PositivePressure
+    """Supply pressure of the constant-pressure system."""
+    ls_margin: Pressure
+    """Load-sensing margin above the highest load pressure."""
+    max_pressure: PositivePressure
+    max_flow: Flow
+    tank_pressure: Pressure = 0.0
+    efficiency: Annotated[float | EfficiencyMap, OrSection(ranges.EFFICIENCY, Section(EfficiencyMap))] = (
+        1.0  # eqs. (36), (43); what becomes of it is in `pump_power`
+    )
+    """Of pump and drive together: a number, or a map over speed, displacement and pressure."""
 
     def __post_init__(self) -> None:
-        hold(
-            self, "pump", constant_pressure=ranges.POSITIVE_PRESSURE, ls_margin=ranges.PRESSURE,
-            max_pressure=ranges.POSITIVE_PRESSURE, max_flow=ranges.FLOW, tank_pressure=ranges.PRESSURE,
-        )  # fmt: skip
-        if not isinstance(self.efficiency, EfficiencyMap):
-            hold(self, "pump", efficiency=ranges.EFFICIENCY)
+        hold_declared(self, "pump")

@@ -5,81 +5,63 @@ Every check looks at the sections that are right in themselves, so that one bad 
 
 from __future__ import annotations
 
+from functools import cache
 from math import pi
-from typing import Any, TypeVar
+from typing import Annotated, Any
 
 from pydantic import TypeAdapter, ValidationError
-from pydantic_core import PydanticCustomError
 
-from leanboom.components.linkages import FourBar, Linkage, Polynomial, RackAndPinion, Telescope, Triangle
+from leanboom.components.cylinders import Connection
+from leanboom.components.linkages import Linkage, Telescope
 from leanboom.components.paths import miscounted
-from leanboom.components.pumps import EfficiencyMap
-from leanboom.io.fields import Quantity, Rule, Start
+from leanboom.components.pumps import EfficiencyMap, Pump
 from leanboom.io.schema import (
+    AREAS,
+    PATHS,
+    SIZE_KEYS,
     AngleRange,
     BodyKeys,
     CylinderKeys,
-    EfficiencyKeys,
-    FourBarKeys,
     LengthRange,
     LinesKeys,
-    PolynomialKeys,
-    PumpKeys,
-    RackAndPinionKeys,
-    Section,
-    SplineKeys,
-    TelescopeKeys,
+    Start,
 )
 from leanboom.io.yaml_source import Data, Key, Source
 from leanboom.model.machine import Machine
 from leanboom.model.task import Lines, Spline, faults
-from leanboom.quantities.ranges import CUTOFF
+from leanboom.quantities.declarations import Section, Variant
+from leanboom.quantities.types import Cutoff
 from leanboom.quantities.units import is_bare
 
-S = TypeVar("S", bound=Section)
-
 JOINTS = ("base", "lift", "tilt", "extension")
+_CYLINDER = Annotated[Any, Section(CylinderKeys)]
+_BODY = Annotated[Any, Section(BodyKeys)]
+_PUMP = Annotated[Any, Section(Pump, stated=True)]
 _SAMPLES = 2001  # of a joint's range
 _SMALLEST_ARM = 1e-4  # [m]
-SIZE_KEYS = ("bore", "rod", "plunger", "racks", "piston_area", "rod_side_area")
 SIZES = "must be given as bore and rod, as plunger (and racks), or as piston_area and rod_side_area"
 
 
-def areas(keys: CylinderKeys) -> tuple[float, float] | None:
+def size(keys: Any) -> dict[str, float]:
+    """What a cylinder's section says of its size."""
+    return {name: value for name in SIZE_KEYS if (value := getattr(keys, name)) is not None}
+
+
+def areas(given: dict[str, float]) -> tuple[float, float] | None:
     """Piston-side and rod-side area [m^2]; None if the size is not given in one of the three ways."""
-    bore, rod, plunger, piston, rod_side = keys.bore, keys.rod, keys.plunger, keys.piston_area, keys.rod_side_area
-    given = {name for name in SIZE_KEYS if getattr(keys, name) is not None}
-    if bore is not None and rod is not None and given == {"bore", "rod"}:
-        return pi / 4 * bore**2, pi / 4 * (bore**2 - rod**2)
-    if plunger is not None and given <= {"plunger", "racks"}:
-        area = pi / 4 * plunger**2 * (keys.racks or 1)
+    if given.keys() == {"bore", "rod"}:
+        return pi / 4 * given["bore"] ** 2, pi / 4 * (given["bore"] ** 2 - given["rod"] ** 2)
+    if "plunger" in given and given.keys() <= {"plunger", "racks"}:
+        area = pi / 4 * given["plunger"] ** 2 * given.get("racks", 1)
         return area, area
-    if piston is not None and rod_side is not None and given == {"piston_area", "rod_side_area"}:
-        return piston, rod_side
+    if given.keys() == set(AREAS):
+        return given["piston_area"], given["rod_side_area"]
     return None
-
-
-def linkage(keys: Section) -> Linkage:
-    """The linkage of a cylinder."""
-    values = keys.model_dump(exclude={"type"})
-    kinds = {
-        RackAndPinionKeys: RackAndPinion,
-        FourBarKeys: FourBar,
-        PolynomialKeys: Polynomial,
-        TelescopeKeys: Telescope,
-    }
-    return kinds.get(type(keys), Triangle)(**values)
 
 
 def stroke(shape: Linkage, lower: float, upper: float) -> float:
     """The change of a cylinder's length [m] over its joint's range, from end to end [rad or m]."""
     return abs(float(shape.length_arm_slope(upper)[0]) - float(shape.length_arm_slope(lower)[0]))
-
-
-def efficiency(keys: PumpKeys) -> float | EfficiencyMap:
-    """The efficiency of a pump."""
-    given = keys.efficiency
-    return EfficiencyMap(**given.model_dump()) if isinstance(given, EfficiencyKeys) else given
 
 
 def check_machine(source: Source) -> None:
@@ -90,35 +72,34 @@ def check_machine(source: Source) -> None:
     _check_slewing(source, data)
     joints, cylinders = _mapping(data, "joints"), _mapping(data, "cylinders")
     for name in JOINTS:
-        keys = _part(CylinderKeys, cylinders.get(name))
+        keys = _part(_CYLINDER, cylinders.get(name))
         if keys is None:
             continue
         key = ("cylinders", name)
         sized = _check_size(source, key, keys)
         if sized and keys.friction.steps is not None and name != "extension":
             source.refuse((*key, "friction", "steps"), "only the extension cylinder may have steps")
-        telescope = isinstance(keys.linkage, TelescopeKeys)
+        telescope = isinstance(keys.linkage, Telescope)
         if telescope != (name == "extension"):
             allowed = "must be telescope" if name == "extension" else "must not be telescope on a rotating joint"
             source.refuse((*key, "linkage", "type"), f"{allowed}")
             continue
-        joint = _range(name, joints.get(name))
+        joint = _part(LengthRange if name == "extension" else AngleRange, joints.get(name))
         if joint is not None:
             _check_linkage(source, key, keys, joint)
     for name, body in _mapping(data, "bodies").items():
-        keys = _part(BodyKeys, body)
+        keys = _part(_BODY, body)
         if keys is not None and keys.extension_share and keys.carrier != "tilt":
             source.refuse(("bodies", name, "extension_share"), "must be 0 unless the carrier is tilt")
-    pump = _part(PumpKeys, data.get("pump"))
+    pump = _part(_PUMP, data.get("pump"))
     if pump is not None:
         for name in ("constant_pressure", "ls_margin"):
             if getattr(pump, name) > pump.max_pressure:
                 limit = str(source.value(("pump", "max_pressure")))
                 limit += " Pa" if is_bare(limit) else ""
                 source.refuse(("pump", name), f"must be at most max_pressure = {limit}")
-        found = efficiency(pump)
-        if isinstance(found, EfficiencyMap):
-            _check_map(source, found, pump.max_flow)
+        if isinstance(pump.efficiency, EfficiencyMap):
+            _check_map(source, pump.efficiency, pump.max_flow)
 
 
 def _mapping(data: dict[str, Data], name: str) -> dict[str, Data]:
@@ -126,20 +107,22 @@ def _mapping(data: dict[str, Data], name: str) -> dict[str, Data]:
     return part if isinstance(part, dict) else {}
 
 
-def _part(model: type[S], data: Data) -> S | None:
-    """A section on its own; None if anything in it is wrong."""
+def _part(kind: Any, data: Data) -> Any:
+    """A part of a file on its own; None if it is missing or anything in it is wrong.
+
+    Args:
+        kind: Its type, with its rule.
+        data: As in the file.
+    """
     try:
-        return model.model_validate(data)
+        return None if data is None else _reader(kind).validate_python(data)
     except ValidationError:
         return None
 
 
-def _range(name: str, data: Data) -> tuple[float, float] | None:
-    """A joint's range on its own; None if it is wrong."""
-    try:
-        return TypeAdapter(LengthRange if name == "extension" else AngleRange).validate_python(data)
-    except ValidationError:
-        return None
+@cache
+def _reader(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
 
 
 def _check_slewing(source: Source, data: dict[str, Data]) -> None:
@@ -152,19 +135,19 @@ def _check_slewing(source: Source, data: dict[str, Data]) -> None:
             source.add((section, "base"), " is given", "must be left out since geometry.slewing = false")
 
 
-def _check_size(source: Source, key: Key, keys: CylinderKeys) -> bool:
+def _check_size(source: Source, key: Key, keys: Any) -> bool:
     """Note what is wrong with a cylinder's areas; whether they are right."""
-    size = areas(keys)
-    if size is None:
-        given = [f"{name} = {source.value((*key, name))}" for name in SIZE_KEYS if getattr(keys, name) is not None]
+    found = areas(size(keys))
+    if found is None:
+        given = [f"{name} = {source.value((*key, name))}" for name in size(keys)]
         source.add(key, f" has {', '.join(given) or 'no size'}", f"its size {SIZES}")
         return False
-    if size[1] <= 0.0:
+    if found[1] <= 0.0:
         source.refuse((*key, "rod"), f"must be below bore = {source.value((*key, 'bore'))}")
-    elif size[1] > size[0]:
+    elif found[1] > found[0]:
         limit = source.value((*key, "piston_area"))
         source.refuse((*key, "rod_side_area"), f"must be at most piston_area = {limit}")
-    elif keys.connection == "differential" and size[1] >= size[0]:
+    elif keys.connection is Connection.DIFFERENTIAL and found[1] >= found[0]:
         source.refuse((*key, "connection"), "must be standard or single_acting, since both areas are equal")
     return True
 
@@ -206,18 +189,18 @@ def _check_map(source: Source, given: EfficiencyMap, max_flow: float) -> None:
         )
 
 
-def _check_linkage(source: Source, key: Key, keys: CylinderKeys, joint: tuple[float, float]) -> None:
+def _check_linkage(source: Source, key: Key, keys: Any, joint: tuple[float, float]) -> None:
     """Note a linkage that cannot close or has no torque arm somewhere in its joint's range, or a wrong stroke."""
     import numpy as np
 
-    shape = linkage(keys.linkage)
+    shape = keys.linkage
     q = np.linspace(*joint, _SAMPLES)
     name = key[-1]
-    kind = keys.linkage.type
+    kind = source.value((*key, "linkage", "type"))
     unit = "m" if name == "extension" else "rad"
     span = f"joints.{name} = [{joint[0]:.6g}, {joint[1]:.6g}] {unit}"
     with np.errstate(all="ignore"):
-        open_at = q[~_closes(shape, q)] if isinstance(shape, FourBar) else q[:0]
+        open_at = q[~shape.closes(q)]
         _, arm, _ = shape.length_arm_slope(q)
         dead = q[~(arm * arm[0] > _SMALLEST_ARM * abs(arm[0]))]
     where = (*key, "linkage")
@@ -235,41 +218,23 @@ def _check_linkage(source: Source, key: Key, keys: CylinderKeys, joint: tuple[fl
             )
 
 
-def _closes(bar: FourBar, q):
-    """Whether eq. (14) holds: lever and coupler meet (acos) and the asin is on its branch."""
-    import numpy as np
-
-    squared = bar.L22**2 + bar.L23**2 - 2.0 * bar.L22 * bar.L23 * np.cos(pi + q + bar.a21 + bar.a22)
-    cosine = (bar.L25**2 + squared - bar.L24**2) / (2.0 * bar.L25 * np.sqrt(squared))
-    return (np.abs(cosine) < 1.0) & (bar.L22**2 + squared > bar.L23**2)
-
-
 def check_task(source: Source, machine: Machine | None) -> None:
     """Note what does not fit together in a task file, or in the task and its machine."""
     data = source.data if isinstance(source.data, dict) else {}
-    path = data.get("path")
-    keys = _part(LinesKeys, path) or _part(SplineKeys, path)
+    keys = _part(Annotated[Any, Variant(PATHS)], data.get("path"))
     made = None
     if isinstance(keys, LinesKeys):
         if fault := miscounted(keys.points, keys.durations):
             source.add(("path", "durations"), *fault)
         else:
             made = Lines(keys.points, keys.durations)
-    elif isinstance(keys, SplineKeys):
+    elif keys is not None:
         if fault := miscounted(keys.points, keys.times, spline=True):
             source.add(("path", "times"), *fault)
         else:
             made = Spline(keys.points, keys.times)
     if machine is None:
         return
-    start, smooth = _value(Start(), data.get("start")), _value(Quantity(CUTOFF), data.get("smooth"))
+    start, smooth = _part(Annotated[Any, Start()], data.get("start")), _part(Cutoff, data.get("smooth"))
     for key, _, what in faults(made, machine, "middle" if start is None else start, smooth):
         source.refuse(key, what)
-
-
-def _value(rule: Rule, data: Data) -> Any:
-    """A value on its own; None if it is wrong or missing."""
-    try:
-        return None if data is None else rule.check(data)
-    except PydanticCustomError:
-        return None

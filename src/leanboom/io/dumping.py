@@ -5,19 +5,22 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import asdict
+from enum import Enum
 from typing import Any
 
 from pydantic import ValidationError
 
-from leanboom.components.linkages import FourBar, Linkage, Polynomial, RackAndPinion, Telescope
-from leanboom.components.valves import MobileValve
+from leanboom.components.cylinders import Cylinder
+from leanboom.components.linkages import LINKAGES
+from leanboom.components.valves import VALVES
 from leanboom.errors import InputError
-from leanboom.io.checks import SIZE_KEYS, areas, stroke
-from leanboom.io.fields import Rule, rule_of
-from leanboom.io.schema import EFFICIENCY_MAP, CylinderKeys, MachineKeys, Section, TaskKeys
+from leanboom.io.checks import areas, stroke
+from leanboom.io.schema import SIZE_KEYS, CylinderKeys, MachineKeys, TaskKeys
 from leanboom.io.yaml_source import STATUSES, Key, dotted, scalar, shortened
-from leanboom.model.machine import METERING, Circuit, Cylinder, Joint, Machine, Provenance
+from leanboom.model.machine import Joint, Machine, Provenance
 from leanboom.model.task import Spline, Task, written
+from leanboom.quantities.declarations import Section, Variant, declared
+from leanboom.quantities.ranges import Rule
 from leanboom.quantities.units import KINDS, parse, write
 
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")  # texts that need no quotes
@@ -37,18 +40,14 @@ def machine_text(machine: Machine) -> str:
         },
         "bodies": {body.name: _without(asdict(body), "name") for body in machine.bodies},
         "payload": {"along": machine.payload_along, "above": machine.payload_above},
-        "valve": {
-            "type": "mobile_valve" if isinstance(machine.valve, MobileValve) else "independent_metering",
-            **asdict(machine.valve),
-        },
+        "valve": Variant(VALVES).section_of(machine.valve).data(machine.valve),
         "pump": asdict(machine.pump),
         "driven_velocity": machine.driven_velocity,
         "dynamics": {"coriolis": machine.coriolis, "slewing_inertia": machine.slewing_inertia},
         "simulation": _circuit(machine, origin),
         "gravity": machine.gravity,
     }
-    keys = _validated(MachineKeys, data, f"machine {machine.name}")
-    return "".join(f"{line}\n" for line in _section(keys, (), origin)).lstrip("\n")
+    return _text(Section(MachineKeys), data, f"machine {machine.name}", origin)
 
 
 def task_text(task: Task, machine: str) -> str:
@@ -62,25 +61,20 @@ def task_text(task: Task, machine: str) -> str:
         "start": task.start,
         "smooth": task.smooth,
     }
-    keys = _validated(TaskKeys, data, f"task {task.name}")
-    return "".join(f"{line}\n" for line in _section(keys, (), {})).lstrip("\n")
+    return _text(Section(TaskKeys), data, f"task {task.name}", {})
 
 
-def _validated(model: type[Section], data: dict[str, Any], what: str) -> Any:
-    """Values made in Python are held to the same rules as a file's."""
+def _text(section: Section, data: dict[str, Any], what: str, origin: dict[str, Provenance]) -> str:
+    """The text of a file. Values made in Python are held to the same rules as a file's."""
     try:
-        return model.model_validate(data)
+        made = section.load(data)
     except ValidationError as error:
-        found = error.errors(include_url=False)
         problems = [
-            f"{what}: {dotted(_key(line['loc']))} = {line['input']}; {line.get('ctx', {}).get('allowed')}"
-            for line in found
+            f"{what}: {dotted(line['loc'])} = {line['input']}; {line.get('ctx', {}).get('allowed')}"
+            for line in error.errors(include_url=False)
         ]
         raise InputError("\n".join(problems)) from None
-
-
-def _key(loc: tuple[str | int, ...]) -> Key:
-    return tuple(step for step in loc if step != EFFICIENCY_MAP)
+    return "".join(f"{line}\n" for line in _section(section, made, (), origin)).lstrip("\n")
 
 
 def _without(values: dict[str, Any], *names: str) -> dict[str, Any]:
@@ -92,14 +86,14 @@ def _cylinder(cylinder: Cylinder, joint: Joint, origin: dict[str, Provenance]) -
     given = f"cylinders.{cylinder.name}.stroke" in origin
     if not given and cylinder.stroke == stroke(cylinder.linkage, joint.lower, joint.upper):
         del values["stroke"]  # reading finds the same
-    linkage = {"type": _linkage_type(cylinder.linkage), **asdict(cylinder.linkage)}
+    linkage = Variant(LINKAGES).section_of(cylinder.linkage).data(cylinder.linkage)
     values |= {"linkage": linkage, "connection": cylinder.connection.value}
     return _size(cylinder, origin) | values
 
 
 def _circuit(machine: Machine, origin: dict[str, Provenance]) -> dict[str, Any]:
     """What was given for the simulation, or changed since."""
-    defaults = asdict(Circuit() if isinstance(machine.valve, MobileValve) else METERING)
+    defaults = asdict(machine.valve.circuit)
     return {
         name: value
         for name, value in asdict(machine.circuit).items()
@@ -107,46 +101,35 @@ def _circuit(machine: Machine, origin: dict[str, Provenance]) -> dict[str, Any]:
     }
 
 
-def _linkage_type(linkage: Linkage) -> str:
-    kinds = {
-        RackAndPinion: "rack_and_pinion",
-        FourBar: "four_bar",
-        Polynomial: "polynomial",
-        Telescope: "telescope",
-    }
-    return kinds.get(type(linkage), "triangle")
-
-
 def _size(cylinder: Cylinder, origin: dict[str, Provenance]) -> dict[str, Any]:
     """The diameters a cylinder's areas were computed from, if they still are; else the areas."""
-    written = {}
+    written: dict[str, Any] = {}
     for name in SIZE_KEYS:
         entry = origin.get(f"cylinders.{cylinder.name}.{name}")
         if entry is not None:
-            kind = "area" if name.endswith("area") else "number" if name == "racks" else "length"
-            written[name] = parse(entry.value, KINDS[kind])
+            written[name] = parse(entry.value, declared(CylinderKeys)[name].rule.kind or KINDS["number"])
     exact = (cylinder.piston_area, cylinder.rod_side_area)
-    if None not in written.values() and areas(CylinderKeys.model_construct(**written)) == exact:
+    if None not in written.values() and areas(written) == exact:
         return written
     return {"piston_area": exact[0], "rod_side_area": exact[1]}
 
 
-def _section(section: Section, key: Key, origin: dict[str, Provenance]) -> list[str]:
+def _section(section: Section, made: Any, key: Key, origin: dict[str, Provenance]) -> list[str]:
     """Lines of a section's keys; those with their default value and no origin are left out."""
-    lines: list[str] = []
+    indent = "  " * len(key)
+    lines = [f"{indent}type: {section.tag}"] if section.tag else []
     after_section = False
-    for name, field in type(section).model_fields.items():
-        value = getattr(section, name)
-        here = (*key, name)
+    for name, field in section.fields.items():
+        value, here = getattr(made, name), (*key, name)
+        value = value.value if isinstance(value, Enum) else value
         known = any(entry == dotted(here) or entry.startswith(f"{dotted(here)}.") for entry in origin)
-        if value is None or (not known and not field.is_required() and value == field.default):
+        if value is None or (not known and not field.required and value == field.default):
             continue
-        deeper = isinstance(value, Section | dict)
+        deeper = isinstance(value, dict) or field.rule.section_of(value) is not None
         if not key and (deeper or after_section):
             lines.append("")
         after_section = deeper
-        rule = rule_of(field.metadata, field.annotation) or Rule()
-        lines += _entry(value, here, rule, origin)
+        lines += _entry(value, here, field.rule, origin)
     return lines
 
 
@@ -154,8 +137,9 @@ def _entry(value: Any, key: Key, rule: Rule, origin: dict[str, Provenance]) -> l
     """Lines of one key, indented by its depth."""
     indent = "  " * (len(key) - 1)
     name = f"{indent}{key[-1]}:"
-    if isinstance(value, Section):
-        return [name, *_section(value, key, origin)]
+    section = rule.section_of(value)
+    if section is not None:
+        return [name, *_section(section, value, key, origin)]
     if isinstance(value, dict):
         return [name] + [line for inner, part in value.items() for line in _entry(part, (*key, inner), rule, origin)]
     if not isinstance(value, tuple):

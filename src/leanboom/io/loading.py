@@ -7,19 +7,16 @@ imported when a file is read, not before.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from leanboom.components.friction import Friction
-from leanboom.components.pumps import Pump
-from leanboom.components.valves import Connection, IndependentMetering, MobileValve
+from leanboom.components.cylinders import Cylinder
 from leanboom.errors import InputError
-from leanboom.model.machine import METERING, Body, Circuit, Cylinder, Geometry, Joint, Machine, Provenance
+from leanboom.model.machine import Body, Joint, Machine, Provenance
 
 if TYPE_CHECKING:
-    from leanboom.io.schema import CylinderKeys, MachineKeys, PumpKeys, Section
-    from leanboom.io.yaml_source import Key, Source
+    from leanboom.io.yaml_source import Source
     from leanboom.model.task import Task
 
 _FOLDER = Path(__file__).parents[1] / "data"
@@ -71,21 +68,20 @@ def load_task(name_or_path: str | Path, *, start: str | float | None = None) -> 
         InputError: There is no such task, or its file or its machine's file has problems; all of them are named.
     """
     from leanboom.io.checks import check_task
-    from leanboom.io.schema import TaskKeys
+    from leanboom.io.schema import LinesKeys, TaskKeys
     from leanboom.model.task import Lines, Spline, Task
 
     path, source = _open("task", name_or_path)
-    keys = _validated(TaskKeys, source)
+    keys = _section(TaskKeys, source)
     machine, others = _machine_of(source, path.parent)
     check_task(source, machine)
     name = _name(keys, source, path)
     source.report(*others)
     assert isinstance(keys, TaskKeys) and machine is not None  # else reported
-    path_keys = keys.path
-    if path_keys.type == "lines":
-        tool_path = Lines(path_keys.points, path_keys.durations)
-    else:
-        tool_path = Spline(path_keys.points, path_keys.times)
+    given = keys.path
+    tool_path = (
+        Lines(given.points, given.durations) if isinstance(given, LinesKeys) else Spline(given.points, given.times)
+    )
     return Task(
         name=name,
         machine=machine,
@@ -119,11 +115,12 @@ def dump_task(task: Task, machine: str = "machine.yaml") -> str:
 def json_schema(kind: Literal["machine", "task"]) -> dict[str, Any]:
     """JSON schema of machine or task files, for editors that complete and check keys."""
     from leanboom.io.schema import MachineKeys, TaskKeys
+    from leanboom.quantities.declarations import Section
 
-    models = {"machine": MachineKeys, "task": TaskKeys}
-    if kind not in models:
-        raise InputError(f"schema = {kind}; must be {', '.join(models)}")
-    schema = models[kind].model_json_schema()
+    kinds = {"machine": MachineKeys, "task": TaskKeys}
+    if kind not in kinds:
+        raise InputError(f"schema = {kind}; must be {', '.join(kinds)}")
+    schema = Section(kinds[kind]).json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": f"leanboom {kind} file"}
 
 
@@ -173,7 +170,7 @@ def _find(kind: str, wanted: str | Path, folder: Path) -> tuple[Path, str] | Non
 
 
 def _choices(kind: str, wanted: str) -> str:
-    from leanboom.io.fields import suggestion
+    from leanboom.quantities.rules import suggestion
 
     return f"must be a file or a bundled {kind}: {suggestion(wanted[:200], _bundled(f'{kind}s'))}"
 
@@ -183,79 +180,54 @@ def _machine(source: Source, path: Path) -> Machine:
     from leanboom.io.checks import check_machine
     from leanboom.io.schema import MachineKeys
 
-    keys = _validated(MachineKeys, source)
+    keys = _section(MachineKeys, source)
     check_machine(source)
     name = _name(keys, source, path)
     source.report()
     assert isinstance(keys, MachineKeys)  # else reported
-    names = [name for name in type(keys.joints).model_fields if getattr(keys.joints, name) is not None]
+    ranges = {joint: ends for joint, ends in asdict(keys.joints).items() if ends is not None}
+    given = {key: value for key, value in asdict(keys.simulation).items() if value is not None}
     return Machine(
         name=name,
         description=keys.description,
-        geometry=Geometry(**keys.geometry.model_dump()),
-        joints=tuple(Joint(name, *getattr(keys.joints, name)) for name in names),
-        cylinders=tuple(_cylinder(name, getattr(keys.cylinders, name), getattr(keys.joints, name)) for name in names),
-        bodies=tuple(Body(name=name, **body.model_dump()) for name, body in keys.bodies.items()),
+        geometry=keys.geometry,
+        joints=tuple(Joint(joint, *ends) for joint, ends in ranges.items()),
+        cylinders=tuple(_cylinder(joint, getattr(keys.cylinders, joint), ends) for joint, ends in ranges.items()),
+        bodies=tuple(Body(name=name, **asdict(body)) for name, body in keys.bodies.items()),
         payload_along=keys.payload.along,
         payload_above=keys.payload.above,
-        valve=_valve(keys),
-        pump=_pump(keys.pump),
+        valve=keys.valve,
+        pump=keys.pump,
         driven_velocity=keys.driven_velocity,
         coriolis=keys.dynamics.coriolis,
         slewing_inertia=keys.dynamics.slewing_inertia,
         gravity=keys.gravity,
-        circuit=replace(circuit_defaults(keys.valve.type), **keys.simulation.model_dump(exclude_none=True)),
+        circuit=replace(keys.valve.circuit, **given),
         provenance=_provenance(source),
     )
 
 
-def _name(keys: Section | None, source: Source, path: Path) -> str:
+def _name(keys: object, source: Source, path: Path) -> str:
     """The name that a file gives, or one made of its own name; that neither does is noted as a problem."""
-    from leanboom.io.fields import Name
+    from leanboom.quantities.rules import Name
 
     name = getattr(keys, "name", None) or Name.made_of(path.stem)
     if not name:
         missing = " is missing, and the file's name has no letter or digit to make one of"
-        source.add(("name",), missing, Name.allowed)
+        source.add(("name",), missing, Name().allowed)
     return name
 
 
-def _cylinder(name: str, keys: CylinderKeys, joint: tuple[float, float]) -> Cylinder:
-    from leanboom.io.checks import areas, linkage, stroke
+def _cylinder(name: str, keys: Any, ends: tuple[float, float]) -> Cylinder:
+    from leanboom.io.checks import areas, size, stroke
 
-    size, shape = areas(keys), linkage(keys.linkage)
-    assert size is not None  # checked
-    return Cylinder(
-        name=name,
-        piston_area=size[0],
-        rod_side_area=size[1],
-        stroke=stroke(shape, *joint) if keys.stroke is None else keys.stroke,
-        linkage=shape,
-        connection=Connection(keys.connection),
-        friction=Friction(**keys.friction.model_dump()),
-        velocity_limit=keys.velocity_limit,
-        acceleration_limit=keys.acceleration_limit,
-    )
-
-
-def _valve(keys: MachineKeys) -> MobileValve | IndependentMetering:
-    values = keys.valve.model_dump(exclude={"type"})
-    return MobileValve(**values) if keys.valve.type == "mobile_valve" else IndependentMetering(**values)
-
-
-def circuit_defaults(valve: str) -> Circuit:
-    """What the simulation takes where a machine file says nothing.
-
-    Args:
-        valve: The type of the machine's valve, as in its file.
-    """
-    return METERING if valve == "independent_metering" else Circuit()
-
-
-def _pump(keys: PumpKeys) -> Pump:
-    from leanboom.io.checks import efficiency
-
-    return Pump(**keys.model_dump(exclude={"efficiency"}), efficiency=efficiency(keys))
+    found = areas(size(keys))
+    assert found is not None  # checked
+    values = {field.name: getattr(keys, field.name) for field in fields(Cylinder) if field.name != "name"}
+    values |= {"piston_area": found[0], "rod_side_area": found[1]}
+    if keys.stroke is None:
+        values["stroke"] = stroke(keys.linkage, *ends)
+    return Cylinder(name, **values)
 
 
 def _provenance(source: Source) -> tuple[Provenance, ...]:
@@ -268,16 +240,17 @@ def _provenance(source: Source) -> tuple[Provenance, ...]:
     )
 
 
-def _validated(model: type[Section], source: Source) -> Section | None:
-    """A file's data as its model; problems are noted, and None returned."""
+def _section(made: type, source: Source) -> Any:
+    """What a file's data make; problems are noted, and None returned."""
     from pydantic import ValidationError
 
+    from leanboom.quantities.declarations import Section
+
     try:
-        return model.model_validate(source.data)
+        return Section(made).load(source.data)
     except ValidationError as error:
         for line in error.errors(include_url=False):
-            context = line.get("ctx", {})
-            key = _key(source, line["loc"])
+            context, key = line.get("ctx", {}), line["loc"]
             key = (*key, context["key"]) if context["key"] else key
             if line["type"] == "missing":
                 source.add(key, " is missing", context["allowed"])
@@ -290,20 +263,3 @@ def _validated(model: type[Section], source: Source) -> Section | None:
             else:
                 source.add((), "", f"the file {context['allowed']}")
         return None
-
-
-def _key(source: Source, loc: tuple[str | int, ...]) -> Key:
-    """Where a pydantic error is in the file: pydantic also names the chosen type of a section."""
-    from leanboom.io.schema import EFFICIENCY_MAP
-
-    key: Key = ()
-    node: Any = source.data  # what is at `key`, as far as the file has it
-    for step in loc:
-        if isinstance(node, dict) and step not in node and step in (node.get("type"), EFFICIENCY_MAP):
-            continue
-        key = (*key, step)
-        if isinstance(node, dict):
-            node = node.get(step)
-        else:
-            node = node[step] if isinstance(node, list) and isinstance(step, int) else None
-    return key

@@ -8,14 +8,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from leanboom.errors import InputError
 from leanboom.io import loading
-from leanboom.io.fields import Quantity, Variant, Word, rule_of
-from leanboom.io.schema import MachineKeys, Section, TaskKeys
+from leanboom.io.schema import MachineKeys, TaskKeys
 from leanboom.io.yaml_source import Key, Source, parse, unusable
-from leanboom.model.machine import Circuit, Machine
+from leanboom.model.machine import Machine
+from leanboom.quantities.declarations import Section, Variant, meanings
+from leanboom.quantities.ranges import Range
+from leanboom.quantities.rules import Word
 
 _KINDS = ("machine", "task")
 
@@ -46,9 +48,9 @@ def text(kind: Literal["machine", "task"]) -> str:
     if kind not in _KINDS:
         raise InputError(f"kind = {kind}; must be {', '.join(_KINDS)}")
     if kind == "machine":
-        return _MACHINE + _explained(MachineKeys, loading.dump_machine(_example()))
+        return _MACHINE + _explained(Section(MachineKeys), loading.dump_machine(_example()))
     task = replace(loading.load_task("loader-triangle-small"), name="my-task")
-    return _TASK + _explained(TaskKeys, loading.dump_task(task, "loader"))
+    return _TASK + _explained(Section(TaskKeys), loading.dump_task(task, "loader"))
 
 
 def write(kind: Literal["machine", "task"], path: Path) -> None:
@@ -90,34 +92,35 @@ def _example() -> Machine:
         cylinders=(base.cylinders[0], *arm.cylinders),
         bodies=(column, *arm.bodies),
         valve=base.valve,
-        circuit=Circuit(),
+        circuit=base.valve.circuit,
         provenance=tuple(replace(entry, status="assumed", note="example") for entry in entries),
     )
 
 
-def _explained(model: type[Section], content: str) -> str:
+def _explained(whole: Section, content: str) -> str:
     """A file's text with a comment above each key, once for each kind of section, and its other keys as comments."""
-    source = parse(content, model.__name__)
+    source = parse(content, whole.made.__name__)
     rows = content.splitlines()
     before: dict[int, list[str]] = {}
     after: dict[int, list[str]] = {}
-    seen: set[type[Section]] = set()
-    for section, key in _sections(model.model_validate(source.data), ()):
-        if type(section) in seen or key not in source.lines:  # a section that is left out has no line
+    seen: set[Section] = set()
+    for section, key in _sections(whole, whole.load(source.data), ()):
+        if section in seen or key not in source.lines:  # a section that is left out has no line
             continue
-        seen.add(type(section))
+        seen.add(section)
         indent = "  " * len(key)
-        for name, field in type(section).model_fields.items():
+        for name, field in section.fields.items():
             here = (*key, name)
-            rule = rule_of(field.metadata, field.annotation)
-            words = [field.description] if field.description else []
-            if isinstance(rule, Word | Variant):
-                words.append(f"{'Type' if isinstance(rule, Variant) else 'One of'}: {', '.join(rule.choices)}.")
+            meaning = meanings(section.made).get(name)
+            words = [meaning] if meaning else []
+            if isinstance(field.rule, Word | Variant):
+                lead = "Type" if isinstance(field.rule, Variant) else "One of"
+                words.append(f"{lead}: {', '.join(field.rule.choices)}.")
             told = [f"{indent}# {' '.join(words)}"] if words else []
             if here in source.lines:
                 before[source.lines[here]] = told
             else:
-                example = rule.kind.example if isinstance(rule, Quantity) and rule.kind else "..."
+                example = field.rule.kind.example if isinstance(field.rule, Range) else "..."
                 after.setdefault(_last(source, key), []).extend([*told, f"{indent}# {name}: {example}"])
     lines = [""]
     for number, row in enumerate(rows, 1):
@@ -125,15 +128,16 @@ def _explained(model: type[Section], content: str) -> str:
     return "".join(f"{line}\n" for line in lines)
 
 
-def _sections(section: Section, key: Key) -> Iterator[tuple[Section, Key]]:
+def _sections(section: Section, made: Any, key: Key) -> Iterator[tuple[Section, Key]]:
     """A section and all within it, with their keys."""
     yield section, key
-    for name in type(section).model_fields:
-        value = getattr(section, name)
+    for name, field in section.fields.items():
+        value = getattr(made, name)
         parts = {(name, inner): part for inner, part in value.items()} if isinstance(value, dict) else {(name,): value}
         for inner, part in parts.items():
-            if isinstance(part, Section):
-                yield from _sections(part, (*key, *inner))
+            deeper = None if part is None else field.rule.section_of(part)
+            if deeper is not None:
+                yield from _sections(deeper, part, (*key, *inner))
 
 
 def _last(source: Source, key: Key) -> int:

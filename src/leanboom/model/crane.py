@@ -17,9 +17,9 @@ import numpy as np
 
 from leanboom.components.linkages import Telescope
 from leanboom.components.paths import approaches
+from leanboom.components.valves import Drive
 from leanboom.errors import InputError
 from leanboom.formulas import dynamics, kinematics
-from leanboom.model import hydraulic_drives
 from leanboom.model.machine import Body, Machine
 from leanboom.model.task import Lines, Reference, Spline, Task, sample
 
@@ -36,7 +36,7 @@ class Crane:
 
     machine: Machine
     bodies: tuple[Body, ...]
-    drives: tuple[hydraulic_drives.Drive, ...]
+    drives: tuple[Drive, ...]
     side: float = kinematics.ELBOW_UP  # to which the outer boom folds, kept along the whole path
     bent: float = kinematics.BENT  # largest |cosine| of the angle at the tilt joint; 1: up to the straight pose
 
@@ -57,11 +57,13 @@ def build(task: Task) -> Crane:
     """
     machine = task.machine
     check_axis(task)
-    bodies = machine.bodies
-    if task.payload:
-        load = Body("payload", "tilt", task.payload, machine.payload_along, machine.payload_above, 0.0, 1.0)
-        bodies = (*bodies, load)
-    return _on_its_side(Crane(machine, bodies, hydraulic_drives.drives(machine)), task)
+    bodies = (*machine.bodies, *load(machine, task.payload))
+    return _on_its_side(Crane(machine, bodies, machine.drives), task)
+
+
+def load(machine: Machine, mass: float) -> tuple[Body, ...]:
+    """A payload of a mass [kg] as a body of the crane; none of 0 kg."""
+    return (Body("payload", "tilt", mass, machine.payload_along, machine.payload_above, 0.0, 1.0),) if mass else ()
 
 
 def check_axis(task: Task) -> None:

@@ -10,34 +10,41 @@ a telescoping extension, the redundant joint. Joint order is always base (if any
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
-from leanboom.components.friction import Friction
-from leanboom.components.linkages import Linkage
+from leanboom.components.circuits import Circuit
+from leanboom.components.cylinders import Cylinder
 from leanboom.components.pumps import Pump
-from leanboom.components.valves import Connection, Valve
+from leanboom.components.valves import Drive, Valve
 from leanboom.errors import InputError
-from leanboom.quantities import ranges
-from leanboom.quantities.ranges import hold
+from leanboom.quantities.declarations import hold_declared
+from leanboom.quantities.rules import Word
+from leanboom.quantities.types import Bool, Gravity, Inertia, Length, Mass, Number, PositiveLength, Share, Velocity
 
 STANDARD_GRAVITY = 9.80665  # g_n, CGPM 1901 [m/s^2]
 
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """Lengths of the boom in its own vertical plane [m]; DH Table 2 (4-DOF paper), Table 1 (3-DOF paper)."""
+    """Lengths of the boom in its own vertical plane."""
 
-    base_x: float  # o_x, slewing axis to lift joint, horizontally
-    base_z: float  # o_y of the papers, base to lift joint, vertically
-    boom: float  # L1, lift joint to tilt joint
-    offset: float  # L2 of the 4-DOF paper: tilt joint to extension axis; 0 for the 3-DOF crane
-    outer: float  # L3 (L2 of the 3-DOF paper): tilt joint to tool at zero extension
-    slewing: bool  # whether joint `base` exists; without it the tool stays in the plane y = 0
+    # DH Table 2 (4-DOF paper), Table 1 (3-DOF paper); o_x, o_y, L1, L2 and L3 of the former. Without an offset,
+    # `outer` is L2 of the latter.
+    base_x: Length
+    """Slewing axis (or origin) to lift joint, horizontally."""
+    base_z: Length
+    """Origin to lift joint, vertically."""
+    boom: PositiveLength
+    """Lift joint to tilt joint."""
+    offset: Length
+    """Tilt joint to the extension's axis, perpendicular to it."""
+    outer: PositiveLength
+    """Tilt joint to tool along the extension's axis, at zero extension."""
+    slewing: Bool  # without it the tool stays in the plane y = 0
+    """Whether the machine has a slewing base."""
 
     def __post_init__(self) -> None:
-        hold(
-            self, "geometry", base_x=ranges.LENGTH, base_z=ranges.LENGTH, boom=ranges.POSITIVE_LENGTH,
-            offset=ranges.LENGTH, outer=ranges.POSITIVE_LENGTH,
-        )  # fmt: skip
+        hold_declared(self, "geometry")
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,96 +52,39 @@ class Joint:
     """One joint and its range: [rad], or [m] for the extension."""
 
     name: str  # base, lift, tilt, extension
-    lower: float
-    upper: float
+    lower: Number
+    upper: Number
 
     def __post_init__(self) -> None:
-        hold(self, f"joints.{self.name}", lower=ranges.NUMBER, upper=ranges.NUMBER)
+        hold_declared(self, f"joints.{self.name}")
         if self.lower >= self.upper:
             raise InputError(
                 f"joints.{self.name} = [{self.lower:.6g}, {self.upper:.6g}]; the lower end must be below the upper end"
             )
 
 
-@dataclass(frozen=True, slots=True)
-class Cylinder:
-    """One hydraulic cylinder, its linkage, its connection and its limits."""
-
-    name: str  # name of the joint it moves
-    piston_area: float  # A_A [m^2]
-    rod_side_area: float  # A_B [m^2]
-    stroke: float  # [m]
-    linkage: Linkage
-    connection: Connection
-    friction: Friction
-    velocity_limit: float  # [m/s], both ways
-    acceleration_limit: float  # [m/s^2], both ways
-
-    def __post_init__(self) -> None:
-        hold(
-            self, f"cylinders.{self.name}", piston_area=ranges.AREA, rod_side_area=ranges.AREA,
-            stroke=ranges.POSITIVE_LENGTH, velocity_limit=ranges.VELOCITY, acceleration_limit=ranges.ACCELERATION,
-        )  # fmt: skip
+_CARRIER = Word("base", "lift", "tilt", column="base", boom="lift", outer="tilt", extension="tilt")
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A rigid body: where its mass sits and what carries it.
-
-    `along` is measured on the carrying link's line (lift: from the lift joint towards the tilt joint;
-    tilt: from the tilt joint along the extension axis direction), `above` perpendicular to it, upwards.
-    """
+    """A rigid body."""
 
     name: str
-    carrier: str  # base, lift, tilt (outer boom, which also carries what telescopes)
-    mass: float  # [kg]
-    along: float  # [m]
-    above: float  # [m]
-    inertia: float  # about the own centre of mass, in the boom plane (vertical axis for `base`) [kg m^2]
-    extension_share: float = 0.0  # moves along by this share of the extension joint: 0, 1/2, 1
+    carrier: Annotated[str, _CARRIER]
+    """The joint that moves it; tilt also carries what telescopes."""
+    mass: Mass
+    along: Length
+    """Centre of mass from the carrying joint, along its link, at zero extension."""
+    above: Length
+    """Centre of mass perpendicular to the link, upwards."""
+    inertia: Inertia
+    """About its own centre of mass, in the boom plane; about the vertical for carrier base."""
+    extension_share: Share = 0.0
+    """Share of the extension it moves along with."""
 
     def __post_init__(self) -> None:
-        hold(
-            self, f"bodies.{self.name}", mass=ranges.LEAST_MASS, along=ranges.LENGTH, above=ranges.LENGTH,
-            inertia=ranges.INERTIA, extension_share=ranges.SHARE,
-        )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Circuit:
-    """What the closed-loop simulation needs to know of the hydraulics, beyond what planning does.
-
-    The defaults are those of a mobile valve; `METERING` are those of independent metering.
-    """
-
-    bulk_modulus: float = 1e9  # B_eff of eqs. (18)-(19), hoses included [Pa]
-    dead_volume: float = 1e-3  # V_0A, V_0B: chamber and hose with the piston at its end [m^3]
-    line_volume: float = 3e-3  # between pump and valves [m^3]
-    pump_time_constant: float = 0.2  # of the supply pressure [s]
-    edge_flow: float = 170e-3 / 60  # of a fully open edge at `edge_drop` [m^3/s]
-    edge_drop: float = 0.7e6  # over a compensated edge; a mobile valve's own drop counts instead [Pa]
-    spool_bandwidth: float = 8.0  # where the spool's amplitude has fallen by 3 dB [Hz]
-    delay: float = 0.16  # from a command to the spool's first movement [s]
-    dead_zone: float = 0.53  # share of the spool's travel that opens nothing
-    counter_pressure: float = 0.3e6  # of the return line above the tank [Pa]
-    seal_friction: float = 0.0  # Coulomb, beside planning's friction, as a share of the force at constant pressure
-    seal_damping: float = 0.0  # viscous at the velocity limit, beside planning's, as a share of the same force
-
-    def __post_init__(self) -> None:
-        hold(
-            self, "simulation", bulk_modulus=ranges.POSITIVE_PRESSURE, dead_volume=ranges.VOLUME,
-            line_volume=ranges.VOLUME, pump_time_constant=ranges.PUMP_TIME, edge_flow=ranges.FLOW,
-            edge_drop=ranges.POSITIVE_PRESSURE, spool_bandwidth=ranges.FREQUENCY, delay=ranges.DELAY,
-            dead_zone=ranges.DEAD_ZONE, counter_pressure=ranges.PRESSURE, seal_friction=ranges.SHARE,
-            seal_damping=ranges.SHARE,
-        )  # fmt: skip
-
-
-METERING = Circuit(
-    dead_volume=0.5e-3, line_volume=1e-3, edge_flow=80e-3 / 60, edge_drop=0.5e6, spool_bandwidth=25.0, delay=0.002,
-    dead_zone=0.0, counter_pressure=0.0, seal_friction=0.02,
-    seal_damping=0.02,
-)  # fmt: skip
+        hold_declared(self, f"bodies.{self.name}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,22 +107,22 @@ class Machine:
     joints: tuple[Joint, ...]
     cylinders: tuple[Cylinder, ...]
     bodies: tuple[Body, ...]
-    payload_along: float  # where a payload hangs, on the outer link at zero extension [m]
-    payload_above: float  # [m]
+    payload_along: Length
+    """Where a payload hangs: from the tilt joint along the extension's axis, at zero extension."""
+    payload_above: Length
+    """Perpendicular to it, upwards."""
     valve: Valve
     pump: Pump
-    driven_velocity: float  # epsilon of eq. (41): slower cylinders count as not driven [m/s]
+    driven_velocity: Velocity  # epsilon of eq. (41)
+    """Slower cylinders count as not driven."""
     coriolis: bool = False  # centrifugal and Coriolis forces in planning (omitted in both papers)
     slewing_inertia: bool = False  # whether planning adds M11 q1'' to the base force (constant in the paper)
-    gravity: float = STANDARD_GRAVITY  # [m/s^2]
+    gravity: Gravity = STANDARD_GRAVITY
     circuit: Circuit = Circuit()
     provenance: tuple[Provenance, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
-        hold(
-            self, "", payload_along=ranges.LENGTH, payload_above=ranges.LENGTH, driven_velocity=ranges.VELOCITY,
-            gravity=ranges.GRAVITY,
-        )  # fmt: skip
+        hold_declared(self, "")
         wanted = ("base", "lift", "tilt", "extension") if self.geometry.slewing else ("lift", "tilt", "extension")
         for key in ("joints", "cylinders"):
             names = tuple(part.name for part in getattr(self, key))
@@ -183,6 +133,11 @@ class Machine:
     def names(self) -> tuple[str, ...]:
         """Joint names in order."""
         return tuple(joint.name for joint in self.joints)
+
+    @property
+    def drives(self) -> tuple[Drive, ...]:
+        """The steady states of all cylinders on their valves, in joint order."""
+        return tuple(self.valve.steady(cylinder, self.pump) for cylinder in self.cylinders)
 
     @property
     def redundant(self) -> Cylinder:

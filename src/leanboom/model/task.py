@@ -81,7 +81,7 @@ def start_of(start: object) -> Start:
     if isinstance(start, str) and start in STARTS:
         return start
     try:
-        return ranges.LEAST_LENGTH.read(start)
+        return ranges.LEAST_LENGTH.number(start)
     except ValueError:
         raise ValueError(START + (slip(start, KINDS["length"]) if isinstance(start, str) else "")) from None
 

@@ -1,4 +1,8 @@
-"""Which quantities are allowed: the same ranges for values in files and for those handed to a constructor in Python."""
+"""Which values are allowed, the same for those in files and for those handed to a constructor in Python.
+
+A rule stands in a field's type, `Annotated[float, LENGTH]`; `declarations` finds it there. Pydantic applies it to
+the values of files.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +10,124 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from numbers import Real
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, LiteralString, TypeVar
 
 from leanboom.errors import InputError
-from leanboom.quantities.units import KINDS, LARGEST, expected, parse, write
+from leanboom.quantities.units import KINDS, LARGEST, Kind, expected, is_bare, parse, write
+
+if TYPE_CHECKING:
+    from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+    from pydantic_core import CoreSchema
 
 T = TypeVar("T")
 
 
+class Refused(ValueError):
+    """A value that is not what is allowed; `key` if it stands one level deeper."""
+
+    def __init__(self, allowed: str, key: str = "", kind: LiteralString = "refused"):
+        super().__init__(allowed)
+        self.allowed, self.key = allowed, key
+        self.kind: LiteralString = kind
+
+
+class Rule:
+    """What a value must be, in words; how it is read; and for quantities of what kind, to write them again."""
+
+    __slots__ = ()
+
+    @property
+    def allowed(self) -> str:
+        """What a value must be."""
+        return "must be given"
+
+    @property
+    def kind(self) -> Kind | None:
+        """What a quantity measures; None for other values."""
+        return None
+
+    @property
+    def bare(self) -> bool:
+        """Whether quantities are written without their unit."""
+        return False
+
+    def check(self, value: Any) -> Any:
+        """A value of a file, ready for its type.
+
+        Raises:
+            Refused: It is not allowed.
+        """
+        return value
+
+    def finish(self, value: Any) -> Any:
+        """A value whose parts have been read.
+
+        Raises:
+            Refused: It is not allowed.
+        """
+        return value
+
+    def kept(self, key: str, value: Any) -> Any:
+        """A value handed over in Python, as a frozen instance keeps it.
+
+        Args:
+            key: What messages call it.
+            value: The value.
+
+        Raises:
+            InputError: It is not allowed.
+        """
+        return value
+
+    def section_of(self, value: Any) -> Any:
+        """The `declarations.Section` that a value is written as; None if it is none."""
+        return None
+
+    def described(self, schema: dict[str, Any]) -> dict[str, Any]:
+        """The JSON schema of the value as written, from that of its type."""
+        return schema
+
+    def validated(self, value: Any, parts: Callable[[Any], Any]) -> Any:
+        """A value of a file, checked before and after its parts; errors as pydantic wants them."""
+        from pydantic_core import PydanticCustomError
+
+        try:
+            return self.finish(parts(self.check(value)))
+        except Refused as error:
+            context = {"allowed": error.allowed, "key": error.key}
+            raise PydanticCustomError(error.kind, "{allowed}", context) from None
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Check around the type."""
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_wrap_validator_function(self.validated, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Describe the value as written."""
+        return self.described(handler(schema))
+
+
 @dataclass(frozen=True, slots=True)
-class Range:
+class Range(Rule):
     """The allowed values of a quantity, in SI units."""
 
     name: str  # of the kind, one of `units.KINDS`
     above: float | None = None
     least: float | None = None
     most: float | None = None
+    any_bare: bool = False  # bare numbers of any size
+
+    @property
+    def kind(self) -> Kind:
+        """What the quantity measures."""
+        return KINDS[self.name]
+
+    @property
+    def allowed(self) -> str:
+        """The kind, its bounds and an example."""
+        article = "an" if self.name[0] in "aeiou" else "a"
+        return f"must be {article} {self.name}{f' {self.bounds}' if self.bounds else ''}, such as {self.kind.example}"
 
     @property
     def bounds(self) -> str:
@@ -34,23 +140,40 @@ class Range:
             f"{name} {write(bound, kind) if bound else 0}" for name, bound in given if bound is not None
         )
 
-    def read(self, value: object) -> float:
+    def check(self, value: Any) -> float:
+        """A quantity of a file in SI units."""
+        kind = self.kind
+        number = parse(value, kind) if isinstance(value, str) and is_bare(value) else None
+        if number is not None and abs(number) > kind.bare and not self.any_bare:
+            raise Refused(f"must have its unit beyond {write(kind.bare, kind)}, since a bare number is in {kind.unit}")
+        return self.number(value)
+
+    def number(self, value: object) -> float:
         """A quantity in SI units.
 
         Args:
             value: A number of Python or NumPy in SI units, or a text such as "610 mm".
 
         Raises:
-            ValueError: It is no finite quantity of this kind or out of bounds; the text says what it must be.
+            Refused: It is no finite quantity of this kind or out of bounds; the text says what it must be.
         """
-        kind = KINDS[self.name]
+        kind = self.kind
         number = parse(value, kind) if isinstance(value, str) else _number(value)
         if number is None:
-            raise ValueError(expected(value if isinstance(value, str) else "", kind))
+            raise Refused(expected(value if isinstance(value, str) else "", kind))
         low = (self.above is not None and number <= self.above) or (self.least is not None and number < self.least)
         if low or (self.most is not None and number > self.most):
-            raise ValueError(f"must be {self.bounds}")
+            raise Refused(f"must be {self.bounds}")
         return number
+
+    def kept(self, key: str, value: Any) -> float:
+        """A quantity handed over in Python, in SI units."""
+        return checked(key, value, self)
+
+    def described(self, schema: dict[str, Any]) -> dict[str, Any]:
+        """Text with a unit, or a bare number."""
+        bare = f"a bare number is in {self.kind.unit}" if self.kind.unit else "without a unit"
+        return {"type": ["string", "number"], "description": f"{self.allowed.removeprefix('must be ')}; {bare}"}
 
 
 def _number(value: object) -> float | None:
@@ -76,8 +199,8 @@ def checked(key: str, value: object, allowed: Range) -> float:
         InputError: It is not allowed.
     """
     try:
-        return allowed.read(value)
-    except ValueError as error:
+        return allowed.number(value)
+    except Refused as error:
         unit = f" {KINDS[allowed.name].unit}" if isinstance(value, Real) and isfinite(float(value)) else ""
         raise InputError(f"{key} = {shown(value)}{unit.rstrip()}; {error}") from None
 
@@ -140,6 +263,7 @@ def listed(key: str, values: Any, size: str, least: int, most: int | None = None
 LENGTH = Range("length")
 POSITIVE_LENGTH = Range("length", above=0)
 LEAST_LENGTH = Range("length", least=0)
+COORDINATE = Range("length", any_bare=True)
 ANGLE = Range("angle")
 AREA = Range("area", above=0)
 VOLUME = Range("volume", above=0)

@@ -21,8 +21,7 @@ from leanboom.formulas import kinematics
 from leanboom.io import loading
 from leanboom.io.yaml_source import read, shortened, unusable
 from leanboom.model import crane as cranes
-from leanboom.model import hydraulic_drives
-from leanboom.model.machine import Body, Machine
+from leanboom.model.machine import Machine
 from leanboom.model.task import sample
 from leanboom.problem import feasible_strokes
 
@@ -94,9 +93,8 @@ def reach(machine: Machine) -> Reach:
 
 def _pressures(machine: Machine, joints: tuple[float, float, float], payload: float) -> tuple[float, ...]:
     """Static pressures [Pa] that carry the crane and a payload [kg] in a pose; 0 for a base."""
-    load = Body("payload", "tilt", payload, machine.payload_along, machine.payload_above, 0.0, 1.0)
-    drives = hydraulic_drives.drives(machine)
-    crane = cranes.Crane(machine, (*machine.bodies, load), drives)
+    drives = machine.drives
+    crane = cranes.Crane(machine, (*machine.bodies, *cranes.load(machine, payload)), drives)
     _, torques = cranes.inertia_and_gravity(crane, *joints)
     found = []
     for cylinder, drive, q, torque in zip(machine.cylinders[-3:], drives[-3:], joints, torques, strict=True):

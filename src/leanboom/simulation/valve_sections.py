@@ -21,7 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from leanboom.components.valves import Connection, IndependentMetering
+from leanboom.components.valves import Connection, IndependentMetering, MobileValve
+from leanboom.errors import InputError
 from leanboom.formulas.fluid import compensated, gate, opening, orifice
 from leanboom.model.machine import Cylinder, Machine
 
@@ -67,6 +68,9 @@ def section(machine: Machine, cylinder: Cylinder) -> Section:
     if isinstance(valve, IndependentMetering):
         k = circuit.edge_flow / np.sqrt(circuit.edge_drop)
         return Section(True, cylinder.connection, circuit.edge_drop, k, k, k, k, back)
+    if not isinstance(valve, MobileValve):
+        kind = type(valve).__name__
+        raise InputError(f"valve = {kind}; the simulation knows the edges of mobile_valve, independent_metering alone")
     drop = max(valve.compensator_drop, 1.0)
     k = circuit.edge_flow / np.sqrt(drop)
     ratio = cylinder.piston_area / cylinder.rod_side_area

@@ -1,0 +1,155 @@
+"""Parts of a machine are declared once: a linkage and a valve from outside the package do all that the package's do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import pi
+
+import pytest
+
+from leanboom.components.linkages import LINKAGES, Linkage
+from leanboom.components.valves import VALVES, IndependentMetering, Valve, driven
+from leanboom.errors import InputError
+from leanboom.evaluation.evaluate import evaluate
+from leanboom.io import starter
+from leanboom.io.loading import dump_machine, dump_task, json_schema, load_machine, load_task
+from leanboom.model.motion import from_velocities
+from leanboom.quantities.types import PositiveLength, Pressure
+from leanboom.simulation.closed_loop import simulate
+
+LEAD = 2.0 * pi * 0.1146  # of the screw that moves the base as the forwarder's pinion does
+
+
+@dataclass(frozen=True, slots=True)
+class Screw(Linkage):
+    """A nut on a screw that turns with the joint."""
+
+    lead: PositiveLength
+    """Travel per turn."""
+
+    def length_arm_slope(self, q):
+        """Length [m], signed torque arm and its slope at joint position q."""
+        return self.lead / (2.0 * pi) * q, self.lead / (2.0 * pi) + 0.0 * q, 0.0 * q
+
+
+@dataclass(frozen=True, slots=True)
+class Throttled(Valve):
+    """A valve that leaves the same pressure in every chamber that empties."""
+
+    remaining: Pressure
+    """In the chamber that empties."""
+
+    def steady(self, cylinder, pump):
+        """Flow areas and pressure lines of a cylinder on this valve."""
+        return driven(cylinder, pump, self.remaining, self.remaining, 0.0)
+
+
+@pytest.fixture
+def outside(monkeypatch):
+    """The two under their names in files; a program of its own says `LINKAGES["screw"] = Screw`."""
+    monkeypatch.setitem(LINKAGES, "screw", Screw)
+    monkeypatch.setitem(VALVES, "throttled", Throttled)
+
+
+def file_of(tmp_path, edits=()):
+    """The forwarder's file, its base on a screw and its cylinders on throttled valves."""
+    machine = load_machine("forwarder")
+    text = dump_machine(replace(machine, valve=IndependentMetering(0.0, 0.0)))
+    texts = [
+        ("type: rack_and_pinion\n      arm: 0.1146 m", f"type: screw\n      lead: {LEAD!r} m"),
+        (
+            "type: independent_metering\n  back_pressure: 0 Pa\n  offside_pressure: 0 Pa",
+            "type: throttled\n  remaining: 3 bar",
+        ),
+    ]
+    for old, new in (*texts, *edits):
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "mine.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def still(task, step=0.1):
+    """A motion that holds the redundant cylinder."""
+    return from_velocities(step, 0.8, [0.0] * (round(task.duration / step) + 1), "held", "cp")
+
+
+def test_a_linkage_and_a_valve_from_outside_are_read_and_written(tmp_path, outside):
+    machine = load_machine(file_of(tmp_path))
+    assert machine.cylinders[0].linkage == Screw(LEAD)
+    assert machine.valve == Throttled(3e5)
+    assert machine.circuit == load_machine("forwarder").circuit
+    (tmp_path / "again.yaml").write_text(dump_machine(machine), encoding="utf-8")
+    assert load_machine(tmp_path / "again.yaml") == replace(machine, name="forwarder")
+    assert f"      type: screw\n      lead: {LEAD!r} m  # derived: stroke" in dump_machine(machine)
+
+
+def test_the_schema_and_the_new_file_know_them(outside):
+    schema = json_schema("machine")
+    assert {"$ref": "#/$defs/Screw"} in schema["$defs"]["CylinderKeys"]["properties"]["linkage"]["oneOf"]
+    screw = schema["$defs"]["Screw"]
+    assert screw["required"] == ["type", "lead"]
+    assert screw["properties"]["type"] == {"const": "screw"}
+    assert screw["properties"]["lead"] == {
+        "description": "Travel per turn.",
+        "title": "Lead",
+        "type": ["string", "number"],
+    }
+    assert schema["$defs"]["Throttled"]["description"] == Throttled.__doc__
+    assert "Type: mobile_valve, independent_metering, throttled." in starter.text("machine")
+
+
+def test_a_motion_is_judged_on_them(tmp_path, outside):
+    """The screw moves the base as the pinion did; the valve leaves 3 bar, as independent metering can."""
+    file_of(tmp_path)
+    task = load_task("forwarder-half-cycle")
+    (tmp_path / "task.yaml").write_text(dump_task(task, "mine.yaml"), encoding="utf-8")
+    known = replace(task.machine, valve=IndependentMetering(3e5, 0.0))
+    found, expected = (
+        evaluate(each, still(each)) for each in (load_task(tmp_path / "task.yaml"), replace(task, machine=known))
+    )
+    assert found.energy("cp") == pytest.approx(expected.energy("cp"), rel=1e-9)
+    assert found.energy("ls") == pytest.approx(expected.energy("ls"), rel=1e-9)
+
+
+BAD = {
+    "its range": (f"lead: {LEAD!r} m", "lead: -1 m", "lead = -1 m; must be above 0"),
+    "its keys": (
+        f"lead: {LEAD!r} m",
+        "leed: 1 m",
+        "leed is not a key here; valid keys: type, lead; did you mean lead?",
+    ),
+    "its name": (
+        "type: screw",
+        "type: scew",
+        "type = scew; must be rack_and_pinion, triangle, four_bar, polynomial, telescope, screw; did you mean screw?",
+    ),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "message"), BAD.values(), ids=BAD)
+def test_they_are_held_to_what_they_declare(tmp_path, outside, old, new, message):
+    with pytest.raises(InputError) as caught:
+        load_machine(file_of(tmp_path, [(old, new)]))
+    assert f"cylinders.base.linkage.{message}" in str(caught.value)
+
+
+def test_in_python_they_are_held_to_the_same():
+    with pytest.raises(InputError, match="^linkage.lead = 0 m; must be above 0$"):
+        Screw(0.0)
+    assert Throttled("3 bar").remaining == 3e5
+
+
+def test_without_a_name_they_are_not_written():
+    machine = load_machine("forwarder")
+    with pytest.raises(InputError) as caught:
+        dump_machine(replace(machine, valve=Throttled(0.0)))
+    assert str(caught.value) == "type = Throttled; must be one of mobile_valve, independent_metering"
+
+
+def test_the_simulation_says_which_valves_it_knows(tmp_path):
+    task = load_task("forwarder-vertical")
+    task = replace(task, machine=replace(task.machine, valve=Throttled(0.0)))
+    with pytest.raises(InputError, match="^valve = Throttled; the simulation knows the edges of mobile_valve, ind"):
+        simulate(task, still(task), pump="cp")
