@@ -26,6 +26,7 @@ from leanboom.components.linkages import FourBar, Linkage, Polynomial, RackAndPi
 from leanboom.dynamic_programming import grids, value_function
 from leanboom.formulas import kinematics
 from leanboom.methods import dp_refined
+from leanboom.methods.registry import GRID
 from leanboom.model.machine import Geometry, Machine
 from leanboom.model.motion import Motion, from_velocities
 from leanboom.model.task import Lines, Spline, Task
@@ -215,7 +216,7 @@ def from_random_motions(task: Task, pump: str, count: int, number: int) -> Itera
         velocity = np.gradient(position, problem.step)
         velocity[[0, -1]] = 0.0
         seed = from_velocities(problem.step, float(position[0]), velocity, "random", pump)
-        one = dp_refined.Search(task, pump, dp_refined.GRID, problem.step)
+        one = dp_refined.Search(task, pump, GRID, problem.step)
         found = one.descend(problem, seed, start, dp_refined.NEXT_LEVELS)
         if found.feasible:
             yield found.motion

@@ -17,6 +17,7 @@ from command_line import leanboom, words
 from leanboom.cli import app, terminal
 from leanboom.components import costs
 from leanboom.io import loading
+from leanboom.methods.registry import METHODS
 from leanboom.planning import planner
 from leanboom.report import facts
 
@@ -32,7 +33,7 @@ def test_help_names_every_command_method_and_cost():
         }.items()
         if part
     }
-    assert {"dp", *listed["methods"]} == set(planner.METHODS)
+    assert {"dp", *listed["methods"]} == set(METHODS.names())
     assert set(listed["costs"]) == set(costs.COSTS)
 
 

@@ -278,8 +278,8 @@ def test_what_is_exceeded_between_nodes_draws_in_the_limits_beside_it(task):
 
 def test_costs_and_paths_that_cannot_be():
     task = lb.load_task("forwarder-horizontal")
-    with pytest.raises(InputError, match="method pseudospectral minimises cp or ls, not actuator"):
-        pseudospectral.plan(task, "actuator", 0.1)
+    with pytest.raises(InputError, match="method pseudospectral minimises ls or cp, not actuator"):
+        lb.run(task, method="pseudospectral", cost="actuator")
     far = replace(task, path=Lines(((4.0, 0.0, 2.0), (20.0, 0.0, 2.0)), (10.0,)))
     with pytest.raises(InfeasibleError):
         pseudospectral.plan(far, "cp", 0.1)

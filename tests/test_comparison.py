@@ -14,14 +14,18 @@ from typer.testing import CliRunner
 import leanboom as lb
 from leanboom.cli import app, result_tables
 from leanboom.errors import InputError, LeanboomError
+from leanboom.methods.registry import METHODS as REGISTRY
 from leanboom.model import motion
-from leanboom.planning import planner, summaries
+from leanboom.model.outcome import SOLVED, Kind, Outcome
+from leanboom.planning import summaries
 from leanboom.report import figures
 from leanboom.study import comparison, processes
 from leanboom.study.comparison import Entry
 from leanboom.study.papers.experiments import EXPERIMENTS
 
-BROKEN = "acceleration of tilt is 0.6000 m/s^2 at 1.000 s (stage 20), beyond its limit 0.5000 by 0.1000"
+BROKEN = Outcome(
+    Kind.INFEASIBLE, "acceleration of tilt is 0.6000 m/s^2 at 1.000 s (stage 20), beyond its limit 0.5000 by 0.1000"
+)
 # What each method makes of the task: LS energy [J], or its status.
 FATES = {
     "dp (ls)": 10e3,
@@ -32,7 +36,11 @@ FATES = {
     "shooting (ls)": LeanboomError("not converged: Maximum_Iterations_Exceeded after 300 iterations"),
     "shooting (cp)": ValueError("a bug"),
 }
-WEAK = "limits kept, but the pump cannot deliver it: 132.1 l/min at 3.214 s, the pump gives 100.0 l/min"
+WEAK = Outcome(
+    Kind.UNDELIVERABLE,
+    "limits kept, but the pump cannot deliver it: 132.1 l/min at 3.214 s, the pump gives 100.0 l/min",
+)
+NOT_CONVERGED = Outcome(Kind.UNCONVERGED, "not converged: Restoration_Failed")
 METHODS = ["shooting", "sns-actuator", "polish", "dp:cp", "dp:ls"]
 
 
@@ -52,7 +60,7 @@ def faked(monkeypatch, task):
         fate = FATES[entry.label]
         if isinstance(fate, Exception):
             raise fate
-        status, energy = ("solved", fate) if isinstance(fate, float) else (fate, 9e3)
+        status, energy = (SOLVED, fate) if isinstance(fate, float) else (fate, 9e3)
         numbers = dict.fromkeys(summaries.KEYS, 1.0) | {"task": one.name, "method": entry.method, "cost": entry.cost}
         # The other way round for the other pump.
         energies = {"ls": energy, "cp": 30e3 - energy}
@@ -63,11 +71,11 @@ def faked(monkeypatch, task):
         outcomes = []
         for index, argument in enumerate(arguments):
             try:
-                outcomes.append(processes.Outcome(function(argument)))
+                outcomes.append(processes.CallResult(function(argument)))
             except LeanboomError as error:
-                outcomes.append(processes.Outcome(failure=str(error), refused=True))
+                outcomes.append(processes.CallResult(failure=str(error), refused=True))
             except ValueError as error:
-                outcomes.append(processes.Outcome(failure=f"ValueError: {error}"))
+                outcomes.append(processes.CallResult(failure=f"ValueError: {error}"))
             if done is not None:
                 done(index, outcomes[-1])
         return outcomes
@@ -133,7 +141,7 @@ def test_every_method_is_compared_unless_it_takes_minutes():
         (["best"], "method = best; must be one of dp, polish, pseudospectral, shooting, dp1, dp-paper, sns-joint,"),
         (["dp:heat"], "cost = heat; must be one of "),
         (["sns-joint:ls"], "method = sns-joint:ls; a pseudo-inverse minimises joint-velocity at every instant"),
-        (["shooting:velocity"], "method = shooting:velocity; has smooth costs for ls, cp alone"),
+        (["shooting:velocity"], "method = shooting:velocity; minimises ls, cp alone"),
         ([], "methods = nothing; choose some of dp, "),
     ],
 )
@@ -199,7 +207,7 @@ def test_a_motion_for_one_pump_alone_is_marked_in_both_bars(task):
     still = motion.from_velocities(0.1, 0.5, np.zeros(61), "dp", "ls")
     made = [
         comparison.Row(Entry("dp", "ls"), pump, "smallest", {"energy_j": 5e3, "status": status, "solve_s": 1.0}, still)
-        for pump, status in (("ls", WEAK), ("cp", "solved"))
+        for pump, status in (("ls", WEAK), ("cp", SOLVED))
     ]
     result = comparison.Comparison(task, ("ls", "cp"), ("smallest",), tuple(made))
     assert figures.energies(result).startswith(b"\x89PNG") and figures.trajectories(result).startswith(b"\x89PNG")
@@ -290,7 +298,7 @@ def test_a_failed_method_is_not_simulated(faked, task):
 
 
 def test_a_program_that_did_not_converge_is_no_result(monkeypatch, task):
-    still = motion.from_velocities(0.1, 0.6, np.zeros(61), "shooting", "ls", status="not converged: Restoration_Failed")
+    still = motion.from_velocities(0.1, 0.6, np.zeros(61), "shooting", "ls", status=NOT_CONVERGED)
     judged = lb.evaluate(task, still)
     monkeypatch.setattr(comparison.planner, "run", lambda one, **_: lb.Plan(one, "ls", still, judged, None, 7))
     with pytest.raises(LeanboomError, match=r"^not converged: Restoration_Failed$"):
@@ -308,7 +316,6 @@ def test_a_real_comparison(task):
 
 def test_help_names_every_method_and_experiment():
     words = " ".join(leanboom("compare", "--help").stdout.replace("│", " ").split())
-    assert all(name in words for name in comparison.MINIMISED)
-    assert set(comparison.MINIMISED) == set(planner.METHODS)
+    assert all(name in words for name in REGISTRY.names())
     words = " ".join(leanboom("reproduce", "--help").stdout.replace("│", " ").split())
     assert all(name in words for name in EXPERIMENTS)

@@ -47,7 +47,7 @@ def test_equals_enumeration_of_all_controls(cost):
 def test_principal_costs_equal_the_judge():
     """Both pump powers of a judged motion, recomputed from its velocities and forces."""
     task = load_task("forwarder-half-cycle")
-    judged = evaluate(task, dp_velocity.plan(task, "cp", 0.4, (15, 11), 0.3))
+    judged = evaluate(task, dp_velocity.plan(task, "cp", 0.4, grid=(15, 11), step=0.3))
     crane = cranes.build(task)
     velocity, force = tuple(judged.velocity.T), tuple(judged.force.T)
     for cost, power in (("ls", judged.power_ls), ("cp", judged.power_cp)):
@@ -84,7 +84,7 @@ def test_beats_the_other_pumps_plan_from_the_middle(name, cost):
     task = load_task(name)
     problem = stages.discretise(task, 0.1)
     start = float(0.5 * (problem.lower[0] + problem.upper[0]))
-    judged = {c: evaluate(task, dp_velocity.plan(task, c, start, (101, 51), 0.1)) for c in ("ls", "cp")}
+    judged = {c: evaluate(task, dp_velocity.plan(task, c, start, grid=(101, 51), step=0.1)) for c in ("ls", "cp")}
     other = "cp" if cost == "ls" else "ls"
     assert judged[cost].energy(cost) <= judged[other].energy(cost)
     assert judged[cost].limit_use.position <= 1.001
@@ -99,4 +99,4 @@ def test_beats_the_other_pumps_plan_from_the_middle(name, cost):
 )
 def test_wrong_input_is_named(arguments, message):
     with pytest.raises(InputError, match=message):
-        dp_velocity.plan(**({"task": load_task("forwarder-vertical"), "cost": "cp", "start_position": 0.5} | arguments))
+        dp_velocity.plan(**({"task": load_task("forwarder-vertical"), "cost": "cp", "start": 0.5} | arguments))

@@ -115,7 +115,7 @@ def test_plan_follows_the_path_inside_the_limits_and_reports_progress():
     problem = stages.discretise(task, 0.1)
     shares = []
     start = float(0.5 * (problem.lower[0] + problem.upper[0]))
-    motion = dp_paper.plan(task, "cp", start, (41, 31, 15), 0.1, shares.append)
+    motion = dp_paper.plan(task, "cp", start, lambda _, share: shares.append(share), grid=(41, 31, 15), step=0.1)
     judged = evaluate(task, motion)
     assert judged.path_error < 1e-6
     assert judged.limit_use.position <= 1.001
@@ -137,4 +137,4 @@ def test_default_grids_are_the_papers():
 )
 def test_wrong_input_is_named(arguments, message):
     with pytest.raises(InputError, match=message):
-        dp_paper.plan(**({"task": load_task("forwarder-vertical"), "cost": "cp", "start_position": 0.5} | arguments))
+        dp_paper.plan(**({"task": load_task("forwarder-vertical"), "cost": "cp", "start": 0.5} | arguments))

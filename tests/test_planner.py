@@ -17,6 +17,7 @@ from leanboom.errors import InfeasibleError, InputError
 from leanboom.evaluation.evaluate import PATH_TOLERANCE, TOLERANCE, Evaluation, evaluate, judged_cost
 from leanboom.io.loading import load_task
 from leanboom.methods import dp_refined
+from leanboom.methods.registry import METHODS
 from leanboom.model.task import Lines, Spline, Task
 from leanboom.planning import planner
 from leanboom.problem import stages
@@ -94,7 +95,7 @@ def test_no_other_method_is_better(name, start, pump):
             assert ours.evaluation.energy(pump) <= other.energy(pump) * (1.0 + slack), (method, other)
 
 
-@pytest.mark.parametrize("method", [method for method in planner.METHODS if method != "dp-paper"])
+@pytest.mark.parametrize("method", [method for method in METHODS.names() if method != "dp-paper"])
 def test_every_method_returns_a_judged_motion_of_its_name(method):
     result = ran("edge", "middle", "ls", method)
     assert result.motion.method == method

@@ -16,6 +16,7 @@ from leanboom.dynamic_programming import value_function
 from leanboom.errors import InfeasibleError
 from leanboom.evaluation.evaluate import evaluate
 from leanboom.io import folders, loading
+from leanboom.methods.registry import METHODS
 from leanboom.model import motion
 from leanboom.planning import planner, summaries
 from leanboom.report import run_folder
@@ -213,7 +214,7 @@ def test_certify_refuses_a_gap_that_is_no_number_of_per_cent(calls, gap):
 def test_unknown_methods_and_costs_list_the_valid_ones(option):
     result = leanboom("plan", "forwarder-vertical", option, "nope")
     assert result.exit_code == 2
-    names = planner.METHODS if option == "--method" else costs.COSTS
+    names = METHODS.names() if option == "--method" else costs.COSTS
     assert all(name in result.stderr for name in names)
 
 

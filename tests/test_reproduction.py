@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from leanboom import fingerprint
 from leanboom.cli import app
 from leanboom.errors import InputError
-from leanboom.planning.planner import METHODS
+from leanboom.methods.registry import METHODS
 from leanboom.report import papers_page
 from leanboom.study import processes
 from leanboom.study.papers import experiments, printed_values, reproduction
@@ -38,7 +38,7 @@ def solved(monkeypatch):
     def each(function, arguments, workers, report):
         for index, job in enumerate(arguments):
             done.append(job)
-            report(index, processes.Outcome(record(job)))
+            report(index, processes.CallResult(record(job)))
 
     monkeypatch.setattr(reproduction.processes, "each", each)
     return done
@@ -103,7 +103,7 @@ def test_solving_drives_the_motion_in_closed_loop():
 def test_every_job_is_one_that_can_be_solved():
     for experiment in EXPERIMENTS.values():
         for job in experiment.jobs().values():
-            assert job.method in METHODS or job.method == COARSE
+            assert job.method in METHODS.names() or job.method == COARSE
             assert job.task.start in ("smallest", "middle")
 
 
@@ -241,8 +241,8 @@ def test_a_module_depends_on_what_it_imports_anywhere(monkeypatch, tmp_path):
 def test_words_of_a_solution_are_no_markup_on_the_page(solved, monkeypatch, tmp_path):
     def each(function, arguments, workers, report):
         for index, job in enumerate(arguments):
-            failed = processes.Outcome(failure="<img src=x> [a](b) | *c*\n# d `e`", refused=True)
-            report(index, failed if job.method == "shooting" else processes.Outcome(record(job)))
+            failed = processes.CallResult(failure="<img src=x> [a](b) | *c*\n# d `e`", refused=True)
+            report(index, failed if job.method == "shooting" else processes.CallResult(record(job)))
 
     monkeypatch.setattr(reproduction.processes, "each", each)
     page = papers_page.page(reproduction.reproduce(["table2"], tmp_path))
@@ -258,8 +258,8 @@ def test_a_refusal_is_kept_and_a_crash_is_not(monkeypatch, tmp_path):
             calls.append(job.method)
             refused = job.method == "shooting"
             text = "not converged: Restoration_Failed" if refused else "its process ended unexpectedly"
-            good = processes.Outcome(record(job))
-            report(index, processes.Outcome(failure=text, refused=refused) if refused or job.cost == "ls" else good)
+            good = processes.CallResult(record(job))
+            report(index, processes.CallResult(failure=text, refused=refused) if refused or job.cost == "ls" else good)
 
     monkeypatch.setattr(reproduction.processes, "each", each)
     found = {line.row: line for line in reproduction.reproduce(["table2"], tmp_path).lines}

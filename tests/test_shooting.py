@@ -94,11 +94,11 @@ def test_shooting_and_collocation_agree_on_a_short_smooth_task(task):
 def test_an_unfinished_solve_is_no_result(task, monkeypatch):
     monkeypatch.setitem(smoothed_nlp.IPOPT, "max_iter", 1)
     told = []
-    motion = multiple_shooting.plan(task, "ls", start_of(task), progress=lambda text, share: told.append((text, share)))
+    motion = multiple_shooting.plan(task, "ls", start_of(task), tell=lambda text, share: told.append((text, share)))
     assert motion.status.startswith("not converged: the iterations were used up (1 iterations, ")
     assert told[0] == ("s = 200 s/m", 0.0) and told[-1] == ("done", 1.0)
 
 
 def test_costs_that_cannot_be():
-    with pytest.raises(InputError, match="method shooting minimises cp or ls, not velocity"):
-        multiple_shooting.plan(lb.load_task("forwarder-horizontal"), "velocity", 0.1)
+    with pytest.raises(InputError, match="method shooting minimises ls or cp, not velocity"):
+        lb.run(lb.load_task("forwarder-horizontal"), method="shooting", cost="velocity")

@@ -14,6 +14,7 @@ import pytest
 import leanboom as lb
 from leanboom.errors import InputError
 from leanboom.evaluation.evaluate import evaluate
+from leanboom.model.outcome import Kind, Outcome
 from leanboom.model.task import Lines
 from leanboom.planning import planner
 from leanboom.report import plan_page, run_folder, simulation_page
@@ -111,7 +112,9 @@ def test_the_page_is_whole_needs_no_network_and_escapes_names(run):
 
 
 def test_an_incomplete_run_says_so(run):
-    page = simulation_page.page(replace(run, status="incomplete: the solver gave up at 0.5 s"))
+    page = simulation_page.page(
+        replace(run, status=Outcome(Kind.INCOMPLETE, "incomplete: the solver gave up at 0.5 s"))
+    )
     assert '<p class="badge bad">Incomplete</p>' in page and "the solver gave up at 0.5 s" in page
 
 

@@ -41,8 +41,7 @@ def measure(name: str, start: str, pump: str, peer: str) -> Measured:
         return Measured(peer, time.process_time() - began, peak(), remark=str(error))
     seconds, memory = time.process_time() - began, peak()
     judged = lb.evaluate(task, motion)
-    status = motion.status if motion.status.startswith("not converged") else judged.status
-    remark = "; ".join([status, *(motion.log if len(motion.log) == 1 else ())])
+    remark = "; ".join([judged.status, *(motion.log if len(motion.log) == 1 else ())])
     return Measured(peer, seconds, memory, judged.energy(pump), judged.worst_use, judged.feasible, remark)
 
 

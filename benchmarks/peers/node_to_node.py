@@ -22,6 +22,7 @@ from leanboom.formulas.dynamics import friction
 from leanboom.methods import dp_velocity
 from leanboom.model import crane as cranes
 from leanboom.model import motion
+from leanboom.model.cost_rates import rate
 from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import stages
@@ -96,7 +97,7 @@ def edge_power(problem: Problem, cost: str, k: int, here: np.ndarray, there: np.
         velocity.append(v)
         force.append(still + friction(v, column(here, level), sharpness, cylinder.friction.viscous))
         possible = possible & (np.abs(v) <= cylinder.velocity_limit * (1.0 + dp_velocity.SLACK))
-    power = dp_velocity.principal_cost(crane, cost, tuple(velocity), tuple(force))
+    power = rate(crane, cost, tuple(velocity), tuple(force))
     return np.where(possible, power, np.inf)
 
 

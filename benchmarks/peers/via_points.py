@@ -15,8 +15,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from leanboom.evaluation import ranking
 from leanboom.evaluation.evaluate import Evaluation, evaluate
-from leanboom.methods import pseudo_inverse, smoothed_nlp
+from leanboom.methods import pseudo_inverse
 from leanboom.model import motion
 from leanboom.model.motion import Motion
 from leanboom.model.task import Task
@@ -58,7 +59,7 @@ def plan(task: Task, cost: str, start: float, tell: Progress) -> Motion:
         nonlocal best, count
         count += 1
         judged = evaluate(task, spline_motion(problem, start, shares, cost))
-        if best is None or smoothed_nlp.better(judged, best, cost):
+        if best is None or ranking.beats(judged, best, cost):
             best = judged
         return priced(problem, judged, cost, scale)
 

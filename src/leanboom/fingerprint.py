@@ -10,6 +10,7 @@ from pathlib import Path
 _FOLDER = Path(__file__).parent
 _FROM = re.compile(r"^[ \t]*from +(leanboom[\w.]*) +import +(\([^)]*\)|.*)", re.MULTILINE)
 _WORD = re.compile(r"\w+")
+_NAMED = re.compile(r'"(leanboom(?:\.\w+)+):\w+"')  # imported when it is used
 _IMPORT = re.compile(r"^[ \t]*import +(leanboom[^\n#]*)", re.MULTILINE)
 
 
@@ -51,7 +52,7 @@ def _read(module: str) -> tuple[bytes, frozenset[str]]:
     """A module's digest, and the modules that it imports. They are sought as text: this is done at every start."""
     content = _FOLDER.joinpath(*module.split(".")).with_suffix(".py").read_bytes()
     text = content.decode()
-    names: set[str] = set()
+    names = set(_NAMED.findall(text))
     for package, what in _FROM.findall(text):
         names |= {package, *(f"{package}.{name}" for name in _WORD.findall(what))}
     for modules in _IMPORT.findall(text):

@@ -27,11 +27,13 @@ from leanboom.components.costs import PUMPS
 from leanboom.dynamic_programming import value_function
 from leanboom.errors import InfeasibleError, InputError, LeanboomError
 from leanboom.fixed_mode import modes
-from leanboom.methods.dp_refined import GRID, Progress, Search
+from leanboom.methods.dp_refined import Search
+from leanboom.methods.registry import GRID, STEP
 from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import stages, starts
 from leanboom.problem.stages import Problem
+from leanboom.progress import Progress
 
 SECONDS, GAP = 60.0, 0.5  # time for a proof [s] and gap at which it ends [%], by default
 ROUNDING = 1e-9  # share of the bound that covers the rounding of floating-point numbers
@@ -133,7 +135,7 @@ def certify(
     pump: str = "ls",
     *,
     motion: Motion | None = None,
-    step: float = 0.05,
+    step: float = STEP,
     seconds: float = SECONDS,
     gap: float = GAP,
     progress: Progress | None = None,
@@ -203,7 +205,7 @@ def provable(task: Task) -> bool:
 
 def _planned(task: Task, pump: str, step: float, tell: Progress) -> Motion:
     """The planner's motion of a task; InfeasibleError where none keeps all limits."""
-    value_function.check_memory(int(np.ceil(task.duration / step)), *GRID)
+    value_function.check_memory(stages.count(task.duration, step), *GRID)
     tell("loading kernels", 0.0)
     with compiling.told(tell):
         value_function.prepare()

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from typing import Annotated, Any, NoReturn
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from leanboom.cli.files import check, machines, new, tasks
 from leanboom.cli.planning import certify, plan, simulate
@@ -102,5 +102,24 @@ def _leanboom(
     """Energy-optimal motion planning for redundant hydraulic cranes."""
 
 
+class _Listing(TyperCommand):
+    """A command whose help lists what can be chosen by name, also what other packages bring."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        from leanboom.methods.registry import METHODS
+        from leanboom.simulation.registry import CONTROLLERS
+
+        lists = {
+            "methods": METHODS.names()[1:],
+            "slow": [name for name in METHODS.own if METHODS.find(name).slow],
+            "controllers": CONTROLLERS.names(),
+        }
+        for option in self.params:
+            for name, items in lists.items():
+                if isinstance(option, TyperOption) and option.help:
+                    option.help = option.help.replace(f"{{{name}}}", ", ".join(items))
+        super().format_help(ctx, formatter)
+
+
 for _command in (plan, certify, simulate, compare, reproduce, new, check, machines, tasks):
-    app.command()(_command)
+    app.command(cls=_Listing)(_command)

@@ -8,6 +8,8 @@ from typing import Annotated, Literal
 import typer
 
 from leanboom.cli.terminal import (
+    GRID,
+    STEP,
     Json,
     Progress,
     Pump,
@@ -39,15 +41,14 @@ def plan(
         str,
         typer.Option(
             metavar="NAME",
-            help="dp (the planner), polish, pseudospectral, shooting, dp-paper, dp1, sns-joint, sns-actuator, "
-            "sns-actuator-weighted.",
+            help="dp (the planner), {methods}.",
         ),
     ] = "dp",
     start: Start = None,
     grid: Annotated[
         str, typer.Option(metavar="PxV", help="Positions and velocities of the extension on the coarse grid.")
-    ] = "101x51",
-    step: Step = "0.05",
+    ] = GRID,
+    step: Step = STEP,
     effort: Annotated[
         Literal["quick", "default", "thorough"],
         typer.Option(
@@ -125,7 +126,7 @@ def certify(
     task: Task,
     pump: Pump = "ls",
     start: Start = None,
-    step: Step = "0.05",
+    step: Step = STEP,
     seconds: Annotated[
         str,
         typer.Option(
@@ -137,7 +138,7 @@ def certify(
     as_json: Json = False,
 ) -> None:
     """Plan a task and prove how far from the optimum the plan can be."""
-    _, stage = settings("101x51", step)
+    _, stage = settings(GRID, step)
     from leanboom.certificate import certificate
     from leanboom.io import loading
     from leanboom.planning import planner
@@ -177,6 +178,10 @@ def simulate(
         str | None,
         typer.Option(metavar="NAME", help="How a task is planned first: a method of `leanboom plan`; by default dp."),
     ] = None,
+    controller: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="{controllers}. By default the one of the papers for the machine's valve."),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Write a run folder with the simulation. By default a RUN gets it added."),
@@ -184,13 +189,18 @@ def simulate(
     as_json: Json = False,
 ) -> None:
     """Drive a plan in closed loop: pump, valves, oil and controller."""
+    from leanboom.components.costs import PUMPS
     from leanboom.io import loading
     from leanboom.planning import planner
+    from leanboom.quantities.ranges import one_of
     from leanboom.report import run_folder, simulation_page
     from leanboom.simulation import closed_loop
+    from leanboom.simulation.registry import CONTROLLERS
 
-    if pump not in (None, *closed_loop.PUMPS):
-        raise InputError(f"pump = {pump}; must be one of {', '.join(closed_loop.PUMPS)}")
+    if pump is not None:
+        one_of("pump", pump, PUMPS)
+    if controller is not None:
+        CONTROLLERS.find(controller)
     run = Path(task) if task not in loading.bundled_tasks() and Path(task).is_dir() else None
     if run is not None and method is not None:
         raise InputError(f"method = {method}; the run folder {task} is planned already: leave --method out")
@@ -200,14 +210,14 @@ def simulate(
         if kept is None:
             asked = loading.load_task(task)
             plan = planner.run(asked, pump=pump or "ls", method=method or "dp", check=False, progress=tell)
-            result = closed_loop.simulate(asked, plan.motion, plan.pump, progress=tell)
+            result = closed_loop.simulate(asked, plan.motion, plan.pump, controller=controller, progress=tell)
             if out is not None:
                 tell("writing the run folder", 1.0)
                 run_folder.write(plan, out, simulation=result)
         else:
             assert run is not None and out is not None
             asked, motion, planned_for = kept
-            result = closed_loop.simulate(asked, motion, pump or planned_for, progress=tell)
+            result = closed_loop.simulate(asked, motion, pump or planned_for, controller=controller, progress=tell)
             tell("writing the run folder", 1.0)
             run_folder.add(run, out, result)
     if as_json:

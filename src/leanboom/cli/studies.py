@@ -25,9 +25,8 @@ def compare(
         str | None,
         typer.Option(
             metavar="NAMES",
-            help="Some of dp, polish, pseudospectral, shooting, dp1, dp-paper, sns-joint, sns-actuator, "
-            "sns-actuator-weighted; dp:cp is dp with that minimised cost alone. By default all but dp-paper, which "
-            "takes minutes.",
+            help="Some of dp, {methods}; dp:cp is dp with that minimised cost alone. By default all but those that "
+            "take minutes, as {slow} does.",
         ),
     ] = None,
     simulate: Annotated[

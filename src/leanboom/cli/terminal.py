@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, NoReturn
 import typer
 
 from leanboom.errors import InputError, LeanboomError
+from leanboom.methods import registry
 
 PATIENCE = 1.0  # [s], a command that takes longer says what it does
 INTERVAL = 10.0  # [s], at least, between two lines about one beginning
@@ -51,6 +52,8 @@ Start = Annotated[
 ]
 Step = Annotated[str, typer.Option(metavar="TIME", help="Length of a stage, in seconds.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
+
+GRID, STEP = "x".join(map(str, registry.GRID)), f"{registry.STEP:g}"  # as options have them
 
 _GRID = re.compile(r"([0-9]{1,6})[xX]([0-9]{1,6})")
 

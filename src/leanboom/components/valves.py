@@ -38,6 +38,7 @@ class Valve(ABC):
     __slots__ = ()
 
     circuit: ClassVar[Circuit] = Circuit()  # what the simulation takes where a machine file says nothing
+    controller: ClassVar[str] = "dead-zone-inverse"  # of the papers, a name of `simulation.registry.CONTROLLERS`
 
     def __post_init__(self) -> None:
         hold_declared(self, "valve")
@@ -84,6 +85,7 @@ class IndependentMetering(Valve):
     """Valves with separate edges for inflow and outflow."""
 
     circuit: ClassVar[Circuit] = METERING
+    controller: ClassVar[str] = "adaptive-robust"
 
     back_pressure: Pressure  # 0 in the 3-DOF paper
     """Pressure in the chamber that empties, in planning."""

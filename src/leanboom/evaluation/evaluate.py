@@ -20,7 +20,8 @@ from leanboom.evaluation.limit_checks import PATH_TOLERANCE, TOLERANCE, LimitUse
 from leanboom.formulas import hydraulics, kinematics
 from leanboom.model import crane as cranes
 from leanboom.model.cost_rates import demanded_pressure, rate, supply_of
-from leanboom.model.motion import Motion, headed
+from leanboom.model.motion import Motion
+from leanboom.model.outcome import SOLVED, Kind, Outcome
 from leanboom.model.task import Task, sample
 
 __all__ = ["PATH_TOLERANCE", "SAMPLE", "TOLERANCE", "Evaluation", "LimitUse", "evaluate", "judged_cost"]
@@ -101,16 +102,17 @@ class Evaluation:
         return not self._shortfalls(self._pump)
 
     @property
-    def status(self) -> str:
+    def status(self) -> Outcome:
         """`solved`, or what is wrong as a sentence; of the pump that `deliverable` looks at."""
         return self.status_with(self._pump)
 
-    def status_with(self, pump: str) -> str:
+    def status_with(self, pump: str) -> Outcome:
         """`solved`, the worst violation as a sentence, or else what the chosen pump, "ls" or "cp", cannot deliver."""
         if self.violations:
-            return self.violations[0]
+            kind = Kind.UNCONVERGED if self.motion.status.kind is Kind.UNCONVERGED else Kind.INFEASIBLE
+            return Outcome(kind, self.violations[0])
         found = self._shortfalls(pump)
-        return remarks.undeliverable(found) if found else "solved"
+        return Outcome(Kind.UNDELIVERABLE, remarks.undeliverable(found)) if found else SOLVED
 
     @property
     def _pump(self) -> str:
@@ -129,7 +131,7 @@ class Evaluation:
         return f"{self.task.name}, {self.motion.method}: LS {ls}, CP {cp}, {used}"
 
     def __repr__(self) -> str:
-        return headed(self.status, f"Evaluation({self.summary}, {self.status})")
+        return self.status.head(f"Evaluation({self.summary}, {self.status})")
 
 
 def evaluate(task: Task, motion: Motion) -> Evaluation:
@@ -207,6 +209,8 @@ def _evaluate(task: Task, motion: Motion) -> Evaluation:
     violations = limit_checks.violations(machine, motion, course, use)
     if not (exists or violations):
         violations = ("a linkage does not close, or has no torque arm, somewhere on the way",)
+    if motion.status.kind is Kind.UNCONVERGED:  # no result, whatever it keeps
+        violations = (motion.status, *violations)
     path_error = float(course.error.max())
     arrays = {
         "time": time, **moved, "tool_target": reference.point.take(regular, axis=0), "pressure": pressure, "flow": flow,

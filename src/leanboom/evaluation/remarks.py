@@ -15,7 +15,6 @@ from leanboom.model.machine import Machine
 
 EXCEEDED = 1.001  # a pump is asked for too much above this share of what it gives, as with the limits of a plan
 LEFT_OUT = 0.5  # uncounted work above this share of the load-sensing energy is remarked upon
-UNDELIVERABLE = "limits kept, but the pump cannot deliver it"  # begins the status of such a motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +76,7 @@ def undeliverable(found: tuple[Shortfall, ...]) -> str:
     for each in found:
         what = "" if each.what == "pump flow" else f"{each.what} "
         parts.append(f"{what}{each.most}, the pump gives {each.given}; exceeded {each.lasts}")
-    return f"{UNDELIVERABLE}: {'; '.join(parts)}"
+    return f"limits kept, but the pump cannot deliver it: {'; '.join(parts)}"
 
 
 def uncounted_work(

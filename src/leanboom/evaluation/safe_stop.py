@@ -12,9 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from leanboom.evaluation import ranking
 from leanboom.evaluation.evaluate import Evaluation, evaluate
 from leanboom.model import motion
-from leanboom.model.motion import Motion, headed
+from leanboom.model.motion import Motion
+from leanboom.model.outcome import Kind, Outcome
 from leanboom.model.task import Braking, Part, Task
 
 STOPS = tuple(0.1 * 1.25**n for n in range(18))  # how long a stop may take [s]: 0.1 to 4.4
@@ -33,14 +35,14 @@ class Continuation:
     stopping: bool  # whether it is the safest stop, because no feasible motion was found
 
     @property
-    def status(self) -> str:
+    def status(self) -> Outcome:
         """`solved`; or why the crane stops, and which limit even the stop breaks; or what the pump cannot deliver."""
         return self.motion.status if self.stopping else self.evaluation.status
 
     @property
     def solved(self) -> bool:
         """Whether it reaches the end of the task, keeps every limit, and the pump can deliver it."""
-        return self.status == "solved"
+        return self.status.solved
 
     def at(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position [m], velocity [m/s] and acceleration [m/s^2] at times of the whole task [s]; held outside."""
@@ -48,7 +50,7 @@ class Continuation:
 
     def __repr__(self) -> str:
         text = f"Continuation({self.task.name} from {self.since:g} s: {self.motion.duration:g} s, {self.status})"
-        return headed(self.status, text)
+        return self.status.head(text)
 
 
 def rest(task: Task, since: float) -> Task:
@@ -91,7 +93,7 @@ def safest_stop(task: Task, since: float, position: float, velocity: float, why:
         braking = replace(task, path=Braking(task.path, since, lasts), start="middle", smooth=None)
         for share in SOONER:
             judged = evaluate(braking, _slow_down(position, velocity, lasts, share))
-            if best is None or _safer(judged, best):
+            if best is None or ranking.risk(judged) < ranking.risk(best):
                 best = judged
         assert best is not None
         if best.feasible:
@@ -100,7 +102,7 @@ def safest_stop(task: Task, since: float, position: float, velocity: float, why:
     status = f"no feasible motion: {why}; the crane stops within {best.task.duration:.2f} s"
     if not best.feasible:
         status += f", and even that breaks a limit: {best.status}"
-    stop = replace(best.motion, status=status)
+    stop = replace(best.motion, status=Outcome(Kind.STOPPED, status))
     return Continuation(best.task, since, stop, replace(best, motion=stop), stopping=True)
 
 
@@ -109,9 +111,3 @@ def _slow_down(position: float, velocity: float, lasts: float, share: float) -> 
     shares = np.linspace(0.0, 1.0, STOP_STEPS + 1)
     speed = velocity * np.maximum(0.0, 1.0 - shares / share)
     return motion.from_velocities(lasts / STOP_STEPS, position, speed, "stop", "none")
-
-
-def _safer(one: Evaluation, other: Evaluation) -> bool:
-    if one.feasible != other.feasible:
-        return one.feasible
-    return (not one.followed, one.limit_use.worst) < (not other.followed, other.limit_use.worst)

@@ -24,13 +24,10 @@ switch; the Euler position lags behind the motion.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leanboom.components.costs import COSTS
-from leanboom.errors import InputError
 from leanboom.methods import dp_velocity
 from leanboom.model import crane as cranes
 from leanboom.model import motion
@@ -39,13 +36,12 @@ from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import feasible_strokes, stages
 from leanboom.problem.stages import Problem
+from leanboom.progress import Progress, quiet
 
 GRID = (356, 101, 151)  # positions, velocities, controls; section 6 of the 4-DOF paper
 GRID_3DOF = (125, 101, 201)  # section 6.2 of the 3-DOF paper
 STEP = dp_velocity.STEP
 BLOCK = 2**18  # nodes of states and controls evaluated at once; about 100 MB
-
-Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,10 +65,7 @@ def default_grid(task: Task) -> tuple[int, int, int]:
 def model(task: Task, cost: str, grid: tuple[int, int, int] | None = None, step: float = STEP) -> Model:
     """Discretise a task for `backward_stage`; arguments as in `plan`."""
     grid = default_grid(task) if grid is None else grid
-    if cost not in COSTS:
-        raise InputError(f"cost = {cost}; must be one of {', '.join(COSTS)}")
-    if min(grid) < 2:
-        raise InputError(f"grid = {'x'.join(map(str, grid))}; needs at least 2 nodes along each axis")
+    dp_velocity.check(cost, grid)
     problem = stages.discretise(task, step)
     low, high = feasible_strokes.stroke_range(task)
     cylinder = task.machine.redundant
@@ -156,12 +149,12 @@ def backward_stage(model: Model, k: int, ahead: np.ndarray) -> tuple[np.ndarray,
     return best, chosen
 
 
-def backward(model: Model, progress: Progress | None = None) -> tuple[np.ndarray, np.ndarray]:
+def backward(model: Model, tell: Progress = quiet) -> tuple[np.ndarray, np.ndarray]:
     """The backward phase, with J_N = 0.
 
     Args:
         model: Task, cost and grids.
-        progress: Called with the share of the stages done, in (0, 1], after each stage.
+        tell: Called after each stage with what happens and the share done, in (0, 1].
 
     Returns:
         J_0, (positions, velocities), and the table of normalised controls, (stages, positions, velocities).
@@ -172,8 +165,7 @@ def backward(model: Model, progress: Progress | None = None) -> tuple[np.ndarray
     controls = np.empty((count, *states))
     for k in range(count - 1, -1, -1):
         ahead, controls[k] = backward_stage(model, k, ahead)
-        if progress is not None:
-            progress((count - k) / count)
+        tell("Algorithm 1", (count - k) / count)
     return ahead, controls
 
 
@@ -200,10 +192,12 @@ def forward(model: Model, controls: np.ndarray, start_position: float) -> tuple[
 def plan(
     task: Task,
     cost: str,
-    start_position: float,
+    start: float,
+    tell: Progress = quiet,
+    settings: object = None,
+    *,
     grid: tuple[int, int, int] | None = None,
     step: float = STEP,
-    progress: Progress | None = None,
 ) -> Motion:
     """The motion of Algorithm 1.
 
@@ -214,19 +208,20 @@ def plan(
     Args:
         task: The task.
         cost: A name of `costs.COSTS`.
-        start_position: Where the redundant cylinder starts [m].
+        start: Where the redundant cylinder starts [m].
+        tell: Called after each stage with what happens and the share done, in (0, 1].
+        settings: Not used; grid and step are the papers'.
         grid: Numbers of positions, velocities and controls; None: the paper's.
         step: Length of a stage T_s [s].
-        progress: Called with the share of the work done, in (0, 1], after each stage.
 
     Returns:
         The motion. It may end moving: J_N = 0 asks for no rest, only the cost of moving does.
     """
     began = time.perf_counter()
     program = model(task, cost, grid, step)
-    _, controls = backward(program, progress)
-    _, v, _ = forward(program, controls, start_position)
+    _, controls = backward(program, tell)
+    _, v, _ = forward(program, controls, start)
     seconds = time.perf_counter() - began
     return motion.from_velocities(
-        program.problem.step, float(start_position), program.scale[1] * v, "dp-paper", cost, solve_s=seconds
+        program.problem.step, float(start), program.scale[1] * v, "dp-paper", cost, solve_s=seconds
     )

@@ -11,25 +11,25 @@ The judge measures every candidate, and the best feasible one wins.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from leanboom.components.costs import COSTS
 from leanboom.dynamic_programming import grids, local_minima, value_function
-from leanboom.errors import LeanboomError
+from leanboom.evaluation import ranking
 from leanboom.evaluation.evaluate import Evaluation, evaluate, judged_cost
 from leanboom.fixed_mode import modes
 from leanboom.fixed_mode.modes import Modes, Polisher
+from leanboom.methods import pseudo_inverse
+from leanboom.methods.registry import Settings
 from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import feasible_strokes, stages, starts
 from leanboom.problem.stages import Problem
+from leanboom.progress import Progress, quiet
 
-Progress = Callable[[str, float], None]
-
-GRID = (101, 51)  # positions and velocities of the coarse program: denser ones end no lower on random tasks
 # Half widths of the first tube, of the stroke range and of the coarse grid's velocities. Level n is 1 / 2^n as wide.
 WIDTH, SPREAD = 0.03, 0.12
 # Nodes of a tube. With loads velocities count: switches lie where cylinders begin to be driven, a few mm/s apart;
@@ -73,20 +73,43 @@ EFFORTS = {
 }
 
 
+def plan(task: Task, cost: str, start: None, tell: Progress, settings: Settings) -> Evaluation:
+    """The whole search, judged.
+
+    Args:
+        task: The task; it says where the redundant cylinder starts.
+        cost: What to minimise, a name of `costs.COSTS`.
+        start: Not used.
+        tell: Called with what happens and the share done.
+        settings: Coarse grid, stages, effort, seeds, and what makes one more of them from a feasible motion.
+    """
+    search = Search(task, cost, settings.grid, settings.step, EFFORTS[settings.effort], tell)
+    best = search.run(settings.seeds)
+    if settings.prover is not None and best.feasible and (seed := settings.prover(best.motion)) is not None:
+        best = search.look_around(seed)
+    return search.logged(best)
+
+
+def plan_by_polish(task: Task, cost: str, start: None, tell: Progress, settings: Settings) -> Evaluation:
+    """The polish alone, from the pseudo-inverse, judged; arguments as in `plan`."""
+    search = Search(task, cost, settings.grid, settings.step, EFFORTS[settings.effort], tell)
+    return search.logged(search.polish_alone())
+
+
 class Search:
     """One search: the task, the log, and the best judged motion so far."""
 
     def __init__(
         self, task: Task, cost: str, grid: tuple[int, int], step: float, effort: Effort = EFFORTS["default"],
-        tell: Progress = lambda text, share: None,
+        tell: Progress = quiet,
     ):  # fmt: skip
         self.task, self.cost, self.grid, self.effort, self.tell = task, cost, grid, effort, tell
         self.began = time.perf_counter()
         self.log: list[str] = []
         self.best: Evaluation | None = None
         self.loads = COSTS[cost].loads
-        self.short = self.loads and task.duration < LEAST_STAGES * step
-        self.step = task.duration / LEAST_STAGES if self.short else step
+        self.step = stage_length(task, cost, step)
+        self.short = self.step < step
         self.span = task.machine.redundant.velocity_limit  # velocities of the coarse grid reach this far [m/s]
         self._polishers: dict[int, Polisher] = {}  # by number of stages
         self._polished: list[Modes] = []
@@ -107,7 +130,7 @@ class Search:
         self.lead(problem, found, start)
         best = self.known_best()
         first = float(best.motion.position[0]) if start is None else start
-        other = self.baseline(first, self.step)
+        other = pseudo_inverse.baseline(self.task, first, self.step)
         if other is not None and (COSTS[self.cost].work or self.rides_on_a_limit(problem)):
             self.polish(problem, other.motion, start is None)  # at times to a lower minimum, or along a moving limit
         self.finer_stages(start)
@@ -179,8 +202,8 @@ class Search:
             moved = value_function.rollout(policy, value_function.best_start(policy) if start is None else start)
             found = self.judge(moved, f"tube of {widths[0]:.4f} m, {widths[1]:.4f} m/s")
             if self.promises(found, chain):
-                found = better(found, self.polish(problem, moved, start is None), self.cost)
-            chain = found if chain is None else better(chain, found, self.cost)
+                found = ranking.better(found, self.polish(problem, moved, start is None), self.cost)
+            chain = found if chain is None else ranking.better(chain, found, self.cost)
         assert chain is not None
         return chain
 
@@ -313,7 +336,7 @@ class Search:
             if not judged.feasible and judged.worst_use < REPAIRABLE:
                 judged = self.repair(polisher, judged, switches, free)
             before = best
-            best = judged if best is None else better(best, judged, self.cost)
+            best = judged if best is None else ranking.better(best, judged, self.cost)
             seed = judged.motion
             leader = judged_cost(self.known_best(), self.cost)
             behind = judged.feasible and gains(judged_cost(judged, self.cost), leader, FAR)
@@ -335,8 +358,6 @@ class Search:
 
     def polish_alone(self) -> Evaluation:
         """The polish from the pseudo-inverse: nonlinear programming without the dynamic program."""
-        from leanboom.methods import pseudo_inverse
-
         problem = stages.discretise(self.task, self.step)
         start = starts.start_position(problem, self.task.start)
         first = starts.start_position(problem, "middle") if start is None else start
@@ -345,26 +366,12 @@ class Search:
         self.polish(problem, seed.motion, start is None, rounds=4)
         return self.known_best()
 
-    def baseline(self, start: float, step: float | None = None) -> Evaluation | None:
-        """The actuator pseudo-inverse from a start [m], judged; None where it cannot follow the path.
-
-        Its own step [s] is short and takes time; as a first guess a stage's will do.
-        """
-        from leanboom.methods import pseudo_inverse
-
-        try:
-            step = pseudo_inverse.STEP if step is None else step
-            judged = evaluate(self.task, pseudo_inverse.resolve(self.task, start, "actuator", step))
-        except LeanboomError:
-            return None
-        return judged if judged.followed else None
-
     def keep_baseline(self, problem: Problem, rough: Evaluation | None, start: float) -> None:
         """Take the pseudo-inverse, and polish it, where it is better than the best motion: no plan is worse than it."""
         if rough is not None and judged_cost(rough, self.cost) > NEAR * judged_cost(self.known_best(), self.cost):
             return
-        other = self.baseline(start)
-        if other is not None and beats(other, self.known_best(), self.cost):
+        other = pseudo_inverse.baseline(self.task, start)
+        if other is not None and ranking.beats(other, self.known_best(), self.cost):
             self.best = other
             self.note(f"the pseudo-inverse is better: {judged_cost(other, self.cost):.4g}; refining from it")
             self.polish(problem, other.motion, False, rounds=4)
@@ -373,27 +380,17 @@ class Search:
         """Measure a candidate, note it, keep it if it is the best."""
         judged = evaluate(self.task, candidate)
         self.note(f"{name}: {judged_cost(judged, self.cost):.6g}, {judged.status}")
-        if self.best is None or beats(judged, self.best, self.cost):
+        if self.best is None or ranking.beats(judged, self.best, self.cost):
             self.best = judged
         return judged
+
+    def logged(self, judged: Evaluation) -> Evaluation:
+        """A judged motion with the log of this search."""
+        return replace(judged, motion=replace(judged.motion, log=judged.motion.log or tuple(self.log)))
 
     def note(self, text: str) -> None:
         """Add a line to the log."""
         self.log.append(f"{time.perf_counter() - self.began:6.2f} s  {text}")
-
-
-def beats(one: Evaluation, other: Evaluation, cost: str) -> bool:
-    """Whether a judged motion is better than another: feasible first, then cheaper."""
-    if one.feasible != other.feasible:
-        return one.feasible
-    if not one.feasible:
-        return one.worst_use < other.worst_use
-    return judged_cost(one, cost) < judged_cost(other, cost)
-
-
-def better(one: Evaluation, other: Evaluation | None, cost: str) -> Evaluation:
-    """The better one of two judged motions, the first where they are equal."""
-    return other if other is not None and beats(other, one, cost) else one
 
 
 def cheaper(one: Evaluation, other: Evaluation, cost: str) -> bool:
@@ -404,6 +401,11 @@ def cheaper(one: Evaluation, other: Evaluation, cost: str) -> bool:
 def gains(before: float, after: float, share: float) -> bool:
     """Whether a cost fell by more than a share of its size."""
     return before - after > share * abs(before)
+
+
+def stage_length(task: Task, cost: str, step: float) -> float:
+    """Length of a stage of the search [s]: as asked for, or less with loads on a short task."""
+    return task.duration / LEAST_STAGES if COSTS[cost].loads and task.duration < LEAST_STAGES * step else step
 
 
 def slower(task: Task, factor: float) -> Task:

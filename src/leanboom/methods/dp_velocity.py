@@ -29,6 +29,8 @@ from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import feasible_strokes, stages
 from leanboom.problem.stages import Problem
+from leanboom.progress import Progress, quiet
+from leanboom.quantities import ranges
 
 GRID = (200, 101)  # positions, velocities; section 6.2 of the 3-DOF paper
 STEP = 0.05  # [s], both papers
@@ -76,12 +78,16 @@ def violated(problem: Problem, k: int, stroke: np.ndarray, values: dict[str, tup
     return count
 
 
-def model(task: Task, cost: str, grid: tuple[int, int] = GRID, step: float = STEP) -> Model:
-    """Discretise a task for `backward_stage`; arguments as in `plan`."""
-    if cost not in COSTS:
-        raise InputError(f"cost = {cost}; must be one of {', '.join(COSTS)}")
+def check(cost: str, grid: tuple[int, ...]) -> None:
+    """Raise InputError for a cost that does not exist, or a grid that cannot be interpolated on."""
+    ranges.one_of("cost", cost, COSTS)
     if min(grid) < 2:
         raise InputError(f"grid = {'x'.join(map(str, grid))}; needs at least 2 nodes along each axis")
+
+
+def model(task: Task, cost: str, grid: tuple[int, int] = GRID, step: float = STEP) -> Model:
+    """Discretise a task for `backward_stage`; arguments as in `plan`."""
+    check(cost, grid)
     problem = stages.discretise(task, step)
     limit = task.machine.redundant.velocity_limit
     return Model(
@@ -127,13 +133,24 @@ def backward_stage(model: Model, k: int, ahead: np.ndarray) -> tuple[np.ndarray,
     return total[np.arange(best.size), best], model.velocities[best]
 
 
-def plan(task: Task, cost: str, start_position: float, grid: tuple[int, int] = GRID, step: float = STEP) -> Motion:
+def plan(
+    task: Task,
+    cost: str,
+    start: float,
+    tell: Progress = quiet,
+    settings: object = None,
+    *,
+    grid: tuple[int, int] = GRID,
+    step: float = STEP,
+) -> Motion:
     """The motion of the one-state dynamic program.
 
     Args:
         task: The task.
         cost: A name of `costs.COSTS`.
-        start_position: Where the redundant cylinder starts [m].
+        start: Where the redundant cylinder starts [m].
+        tell: Not used: it takes a moment.
+        settings: Not used; grid and step are the paper's.
         grid: Numbers of positions and velocities.
         step: Length of a stage T_s [s].
 
@@ -148,11 +165,11 @@ def plan(task: Task, cost: str, start_position: float, grid: tuple[int, int] = G
     ahead = np.zeros(grid[0])
     for k in range(count - 1, -1, -1):
         ahead, controls[k] = backward_stage(program, k, ahead)
-    c = float(start_position)
+    c = float(start)
     speed = np.empty(count)
     for k in range(count):
         speed[k] = np.interp(c, program.positions, controls[k])
         c += program.problem.step * speed[k]
     velocity = np.concatenate([[0.0], 0.5 * (speed[1:] + speed[:-1]), [0.0]])
     seconds = time.perf_counter() - began
-    return motion.from_velocities(program.problem.step, float(start_position), velocity, "dp1", cost, solve_s=seconds)
+    return motion.from_velocities(program.problem.step, float(start), velocity, "dp1", cost, solve_s=seconds)

@@ -31,16 +31,17 @@ from typing import Any
 
 import numpy as np
 
-from leanboom.errors import InputError, LeanboomError
+from leanboom.errors import LeanboomError
 from leanboom.evaluation.evaluate import evaluate
 from leanboom.formulas import kinematics
 from leanboom.methods import pseudo_inverse, smoothed_nlp
-from leanboom.methods.smoothed_nlp import Attempt, Drawn, Level, Progress
+from leanboom.methods.smoothed_nlp import Attempt, Drawn, Level
 from leanboom.model import crane as cranes
 from leanboom.model import motion
 from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import stages
+from leanboom.progress import Progress, quiet
 
 METHOD = "shooting"
 STEP = 0.05  # [s]
@@ -51,14 +52,15 @@ LEVELS = {
 }
 
 
-def plan(task: Task, cost: str, start: float, progress: Progress | None = None) -> Motion:
+def plan(task: Task, cost: str, start: float, tell: Progress = quiet, settings: object = None) -> Motion:
     """Plan a task by direct multiple shooting in all joints, from the actuator pseudo-inverse.
 
     Args:
         task: The task.
         cost: "ls" or "cp".
         start: Where the redundant cylinder starts [m].
-        progress: Called with what happens and the share done.
+        tell: Called with what happens and the share done.
+        settings: Not used; steps and smoothing are the method's own.
 
     Returns:
         The motion of the redundant cylinder: of the solves that converged, the cheapest by the judge that keeps all
@@ -66,11 +68,8 @@ def plan(task: Task, cost: str, start: float, progress: Progress | None = None) 
         IPOPT ended, and then the motion is no result. Its log has a line a solve.
 
     Raises:
-        InputError: If the cost is another one.
         InfeasibleError: If some point of the path cannot be reached.
     """
-    if cost not in LEVELS:
-        raise InputError(f"method {METHOD} minimises {' or '.join(LEVELS)}, not {cost}")
     began = time.perf_counter()
     work = _prepare(stages.discretise(task, STEP), cost)
     first = _first_guess(work.problem, start)
@@ -79,7 +78,6 @@ def plan(task: Task, cost: str, start: float, progress: Progress | None = None) 
         answer = _solve(work, level, first if guess is None else guess.answer.values, drawn)
         return Attempt(evaluate(task, _motion(work.problem, answer.values, cost)), answer, work.problem.time)
 
-    tell = progress or (lambda text, share: None)
     result = smoothed_nlp.bootstrap(LEVELS[cost], solve, _draw_in, cost, tell)
     return replace(result, solve_s=time.perf_counter() - began)
 

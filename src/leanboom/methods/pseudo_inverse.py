@@ -25,13 +25,16 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from leanboom.errors import InfeasibleError, InputError
+from leanboom.errors import InfeasibleError, InputError, LeanboomError
+from leanboom.evaluation.evaluate import Evaluation, evaluate
 from leanboom.model import crane as cranes
 from leanboom.model import motion
 from leanboom.model.motion import Motion
 from leanboom.model.task import Task, sample
 from leanboom.problem import stages
 from leanboom.problem.stages import Problem
+from leanboom.progress import Progress, quiet
+from leanboom.quantities import ranges
 
 METHODS = {"joint": "sns-joint", "actuator": "sns-actuator", "weighted": "sns-actuator-weighted"}
 COSTS = {"joint": "joint-velocity", "actuator": "velocity", "weighted": "weighted-velocity"}
@@ -318,8 +321,7 @@ def resolve(task: Task, start_position: float, variant: str = "actuator", step: 
         InputError: If the variant is unknown.
         InfeasibleError: If some point of the path cannot be reached.
     """
-    if variant not in METHODS:
-        raise InputError(f"variant = {variant}; must be one of {', '.join(METHODS)}")
+    ranges.one_of("variant", variant, METHODS)
     began = time.perf_counter()
     problem = stages.discretise(task, step)
     step, cylinders = problem.step, problem.crane.machine.cylinders
@@ -347,6 +349,34 @@ def resolve(task: Task, start_position: float, variant: str = "actuator", step: 
     return motion.from_velocities(
         step, float(start_position), velocity, METHODS[variant], COSTS[variant], solve_s=seconds
     )
+
+
+def plan(task: Task, cost: str, start: float, tell: Progress = quiet, settings: object = None) -> Motion:
+    """The motion of `resolve` that minimises a cost at every instant.
+
+    Args:
+        task: The task.
+        cost: One of the three of `COSTS`.
+        start: Where the redundant cylinder starts [m].
+        tell: Not used: it takes a moment.
+        settings: Not used; the step is the method's own.
+    """
+    return resolve(task, start, next(variant for variant, own in COSTS.items() if own == cost))
+
+
+def baseline(task: Task, start: float, step: float = STEP) -> Evaluation | None:
+    """The actuator pseudo-inverse, judged; None where it cannot follow the path.
+
+    Args:
+        task: The task.
+        start: Where the redundant cylinder starts [m].
+        step: Interval of the integration [s]; a short one takes time.
+    """
+    try:
+        judged = evaluate(task, resolve(task, start, "actuator", step))
+    except LeanboomError:
+        return None
+    return judged if judged.followed else None
 
 
 def _strokes(crane: cranes.Crane) -> np.ndarray:

@@ -24,15 +24,15 @@ from typing import Any
 
 import numpy as np
 
-from leanboom.errors import InputError
 from leanboom.evaluation.evaluate import evaluate
 from leanboom.methods import smoothed_nlp
-from leanboom.methods.smoothed_nlp import Attempt, Drawn, Level, Progress
+from leanboom.methods.smoothed_nlp import Attempt, Drawn, Level
 from leanboom.model import crane as cranes
 from leanboom.model import motion
 from leanboom.model.motion import Motion
 from leanboom.model.task import Lines, Task, sample
 from leanboom.problem import feasible_strokes, stages
+from leanboom.progress import Progress, quiet
 
 METHOD = "pseudospectral"
 STEP = 0.01  # [s], stages of the resulting motion
@@ -166,14 +166,15 @@ def interpolate(tau: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarr
 # The crane's problem on these points.
 
 
-def plan(task: Task, cost: str, start: float, progress: Progress | None = None) -> Motion:
+def plan(task: Task, cost: str, start: float, tell: Progress = quiet, settings: object = None) -> Motion:
     """Plan a task by bootstrapped pseudospectral collocation, from a held extension as the first guess.
 
     Args:
         task: The task.
         cost: "ls" or "cp".
         start: Where the redundant cylinder starts [m].
-        progress: Called with what happens and the share done.
+        tell: Called with what happens and the share done.
+        settings: Not used; nodes and smoothing are the method's own.
 
     Returns:
         The motion on stages of `STEP`: of the levels that converged, the cheapest by the judge that keeps all limits.
@@ -181,11 +182,8 @@ def plan(task: Task, cost: str, start: float, progress: Progress | None = None) 
         ended, and then the motion is no result. Its log has a line a solve.
 
     Raises:
-        InputError: If the cost is another one.
         InfeasibleError: If some point of the path cannot be reached.
     """
-    if cost not in LEVELS:
-        raise InputError(f"method {METHOD} minimises {' or '.join(LEVELS)}, not {cost}")
     began = time.perf_counter()
     problem = stages.discretise(task, STEP)
     functions = smoothed_nlp.node_functions(3, 13, _node(problem.crane, problem.moving, cost))
@@ -202,7 +200,6 @@ def plan(task: Task, cost: str, start: float, progress: Progress | None = None) 
         held[0] = start
         return motion.make(problem.step, held, 0.0 * held, 0.0 * held[1:], METHOD, cost)
 
-    tell = progress or (lambda text, share: None)
     result = smoothed_nlp.bootstrap(LEVELS[cost], solve, lambda attempt: _draw_in(problem, attempt), cost, tell)
     return replace(result, solve_s=time.perf_counter() - began)
 

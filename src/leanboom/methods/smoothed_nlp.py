@@ -20,11 +20,14 @@ from typing import Any
 import numpy as np
 
 from leanboom.components.costs import COSTS
+from leanboom.evaluation import ranking
 from leanboom.evaluation.evaluate import Evaluation
 from leanboom.formulas import hydraulics
 from leanboom.model import crane as cranes
 from leanboom.model.cost_rates import supply_of
 from leanboom.model.motion import Motion
+from leanboom.model.outcome import Kind, Outcome
+from leanboom.progress import Progress
 
 KILO, MEGA = 1e-3, 1e-6  # power in kW, pressure in MPa
 REPAIRS = 4  # solves with limits drawn in where they are exceeded between the nodes
@@ -55,8 +58,6 @@ ENDINGS = {
     "Insufficient_Memory": "memory ran out",
 }
 UNUSABLE = "no first guess that can be computed: the pseudo-inverse leads through a singular pose or beyond the limits"
-
-Progress = Callable[[str, float], None]
 
 
 # Smoothed costs, on CasADi symbols or numbers.
@@ -321,7 +322,7 @@ def bootstrap(levels: tuple[Level, ...], solve: Solve, draw_in: DrawIn, cost: st
         log.append(f"{seconds:6.2f} s  {level}: {made.answer.raw}, judged {1e-3 * energy:.5g} kJ, {made.judged.status}")
         if made.answer.converged:
             settled = level, made
-            if best is None or better(made.judged, best, cost):
+            if best is None or ranking.beats(made.judged, best, cost):
                 best = made.judged
         return made
 
@@ -344,19 +345,10 @@ def bootstrap(levels: tuple[Level, ...], solve: Solve, draw_in: DrawIn, cost: st
     tell("done", 1.0)
     assert last is not None
     if best is None:
-        result = replace(last.judged.motion, status=f"not converged: {last.answer.text}")
+        result = replace(last.judged.motion, status=Outcome(Kind.UNCONVERGED, f"not converged: {last.answer.text}"))
     else:
         result = best.motion if best.feasible else replace(best.motion, status=best.status)
     return replace(result, solve_s=time.perf_counter() - began, log=tuple(log))
-
-
-def better(one: Evaluation, other: Evaluation, cost: str) -> bool:
-    """Whether a judged motion beats another: feasible first, then cheaper, or nearer to its limits."""
-    if one.feasible != other.feasible:
-        return one.feasible
-    if not one.feasible:
-        return one.worst_use < other.worst_use
-    return one.energy(cost) < other.energy(cost)
 
 
 def exceeded(judged: Evaluation, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from leanboom.errors import InputError
+from leanboom.model import outcome
+from leanboom.model.outcome import SOLVED, Outcome
 from leanboom.quantities import ranges
 
 _STEP = ranges.Range("time", above=0)
@@ -28,13 +30,14 @@ class Motion:
     acceleration: np.ndarray  # [m/s^2], (stages,)
     method: str  # which method made it, e.g. "dp"
     cost: str  # what that method minimised, e.g. "ls"
-    status: str = "solved"  # "solved", or a sentence naming what is violated, where, when, by how much
+    status: Outcome = SOLVED  # "solved", or a sentence naming what is violated, where, when, by how much
     solve_s: float = 0.0  # wall time of solving [s], compilation excluded where it was known
     log: tuple[str, ...] = ()  # how the result came about, one line a step
     lead: float | None = None  # length of the first interval [s], above 0 and up to `step`; None: `step`
 
     def __post_init__(self) -> None:
         ranges.hold(self, "motion", step=_STEP)
+        object.__setattr__(self, "status", outcome.read(self.status))
         for name in _ARRAYS:
             object.__setattr__(self, name, _kept(name, getattr(self, name)))
         count = self.acceleration.size
@@ -47,8 +50,7 @@ class Motion:
             ranges.hold(self, "motion", lead=ranges.Range("time", above=0, most=self.step))
 
     def __repr__(self) -> str:
-        return headed(
-            self.status,
+        return self.status.head(
             f"Motion({self.method} minimising {self.cost}: {self.position.size - 1} stages of {self.step:g} s, "
             f"{self.position[0]:.4f} m -> {self.position[-1]:.4f} m, {self.status})",
         )
@@ -80,11 +82,6 @@ class Motion:
         u = self.acceleration[stage]
         w = self.velocity[stage]
         return self.position[stage] + dt * (w + 0.5 * dt * u), w + dt * u, u
-
-
-def headed(status: str, text: str) -> str:
-    """What a result prints as: what it is, behind NOT SOLVED and the reason where it is none."""
-    return text if status == "solved" else f"NOT SOLVED: {status}. {text}"
 
 
 def from_positions(step: float, position: np.ndarray, method: str, cost: str, **fields) -> Motion:

@@ -21,24 +21,15 @@ from leanboom.components.costs import COSTS, PUMPS
 from leanboom.dynamic_programming import value_function
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.evaluation.evaluate import Evaluation, check_measurable, evaluate
-from leanboom.fixed_mode import modes
-from leanboom.methods.dp_refined import EFFORTS, GRID, Progress, Search, shortest_duration
-from leanboom.model.motion import Motion, headed
+from leanboom.methods import pseudo_inverse
+from leanboom.methods.dp_refined import EFFORTS, shortest_duration, stage_length
+from leanboom.methods.registry import GRID, METHODS, STEP, Method, Settings
+from leanboom.model.motion import Motion
+from leanboom.model.outcome import Kind, Outcome
 from leanboom.model.task import Task
 from leanboom.problem import stages, starts
-from leanboom.quantities import ranges
-
-METHODS = {
-    "dp": "dynamic programming over all extensions, refined in tubes and polished",
-    "polish": "nonlinear programming alone: the polish started from the pseudo-inverse",
-    "pseudospectral": "Legendre-Gauss-Radau collocation of the smoothed problem, bootstrapped",
-    "shooting": "direct multiple shooting in all joints",
-    "dp-paper": "Algorithm 1 of the 4-DOF paper to the letter",
-    "dp1": "one-state dynamic programming, velocity as control (3-DOF paper)",
-    "sns-joint": "joint-limited pseudo-inverse, least joint velocities",
-    "sns-actuator": "actuator-limited pseudo-inverse, least cylinder velocities",
-    "sns-actuator-weighted": "the same, cylinder velocities weighted by flow areas",
-}
+from leanboom.progress import Progress, quiet
+from leanboom.quantities.ranges import STAGE, noted, one_of
 
 KEPT = 8  # judged motions that a search holds at a time
 PROOF_SECONDS = 300.0  # time that `thorough` takes for a proof at most [s]
@@ -58,14 +49,14 @@ class Plan:
     certificate: Certificate | None = None  # of the effort `thorough`
 
     @property
-    def status(self) -> str:
+    def status(self) -> Outcome:
         """`solved`, or as a sentence what limit is broken, or what the chosen pump cannot deliver."""
         return self.evaluation.status_with(self.pump)
 
     @property
     def solved(self) -> bool:
         """Whether the motion keeps every limit and the chosen pump can deliver it."""
-        return self.status == "solved"
+        return self.status.solved
 
     def saving(self, pump: str | None = None) -> float | None:
         """Share of the pseudo-inverse's energy that the plan saves; None where there is nothing to compare.
@@ -77,14 +68,14 @@ class Plan:
             The share; None for a plan that is not solved, with that pump, and without a pseudo-inverse.
         """
         pump = self.pump if pump is None else pump
-        if self.baseline is None or self.evaluation.status_with(pump) != "solved":
+        if self.baseline is None or not self.evaluation.status_with(pump).solved:
             return None
         mine, theirs = self.evaluation.energy(pump), self.baseline.energy(pump)
         return 1.0 - mine / theirs if self.baseline.followed and theirs > 0.0 else None
 
     def __repr__(self) -> str:
         text = f"Plan({self.pump}, {self.evaluation.summary})"
-        return headed(self.status, text)
+        return self.status.head(text)
 
 
 def plan(
@@ -94,7 +85,7 @@ def plan(
     cost: str | None = None,
     method: str = "dp",
     grid: tuple[int, int] = GRID,
-    step: float = 0.05,
+    step: float = STEP,
     effort: str = "default",
     seconds: float = PROOF_SECONDS,
     gap: float | None = None,
@@ -107,7 +98,7 @@ def plan(
         task: What to do; `task.start` says where the redundant cylinder starts.
         pump: "ls" or "cp": whose energy counts.
         cost: What to minimise, a name of `costs.COSTS`; by default the pump's energy.
-        method: A name of `METHODS`.
+        method: A name of `methods.registry.METHODS`.
         grid: Position and velocity nodes of the coarse grid.
         step: Length of a stage [s].
         effort: "quick" (one local minimum, no shorter stages), "default" (several), or "thorough": more of them, and a
@@ -137,7 +128,7 @@ def run(
     cost: str | None = None,
     method: str = "dp",
     grid: tuple[int, int] = GRID,
-    step: float = 0.05,
+    step: float = STEP,
     effort: str = "default",
     seconds: float = PROOF_SECONDS,
     gap: float | None = None,
@@ -152,7 +143,7 @@ def run(
         task: What to do.
         pump: "ls" or "cp".
         cost: What to minimise; by default the pump's energy.
-        method: A name of `METHODS`.
+        method: A name of `methods.registry.METHODS`.
         grid: Position and velocity nodes of the coarse grid.
         step: Length of a stage [s].
         effort: "quick" (one local minimum, no shorter stages), "default" (several), or "thorough": more of them, and a
@@ -173,54 +164,72 @@ def run(
             cannot follow the path, whatever the extension.
     """
     cost = pump if cost is None else cost
-    grid, step = _check(task, pump, cost, method, grid, step, effort)
+    chosen, grid, step = _check(task, pump, cost, method, grid, step, effort)
     gap = PROVEN[pump] if gap is None else gap
     certificate.check(pump, step, seconds, gap)
-    tell = progress or (lambda text, share: None)
+    tell = progress or quiet
     tell("loading kernels", 0.0)
     with compiling.told(tell):
         value_function.prepare()
-        if method in ("dp", "polish"):
-            modes.prepare()
+        chosen.warm_up()
     began = time.perf_counter()
-    search = Search(task, cost, grid, step, EFFORTS[effort], tell)
-    best = _by(method, search, warm_start)
-    proof = None
-    if effort == "thorough" and certificate.provable(task) and method == "dp" and cost == pump and best.feasible:
-        best, proof = _prove(search, best, step, seconds, gap)
+    proof = _Proof(task, pump, step, seconds, gap, tell)
+    proven = effort == "thorough" and certificate.provable(task) and cost == pump
+    settings = Settings(grid, step, effort, tuple(warm_start), proof.seek if proven else None)
+    start = None if chosen.free_start else _start(task, method, step)
+    minimised = chosen.costs[0] if chosen.pointwise and chosen.costs else cost
+    answer = chosen.plan(task, minimised, start, tell, settings)
+    best = evaluate(task, answer) if isinstance(answer, Motion) else answer
+    certified = proof.of(best.motion)
     solve_s = time.perf_counter() - began
-    status = best.status_with(pump) if best.feasible or method != "dp" else _explain(search, best)
-    done = replace(
-        best.motion, method=method, cost=cost, solve_s=solve_s, log=best.motion.log or tuple(search.log), status=status
-    )
+    if best.feasible or not chosen.exhaustive:
+        status = best.status_with(pump)
+    else:
+        status = Outcome(Kind.INFEASIBLE, _explain(task, grid, stage_length(task, cost, step), best.status, tell))
+    done = replace(best.motion, method=method, cost=cost, solve_s=solve_s, status=status)
     best = replace(best, motion=done)
     if not best.feasible:
         best = replace(best, violations=(status, *best.violations[1:]))
-    other = search.baseline(float(done.position[0])) if baseline else None
+    other = pseudo_inverse.baseline(task, float(done.position[0])) if baseline else None
     tell("done", 1.0)
-    found = Plan(task, pump, done, best, other, _peak_memory(), proof)
+    found = Plan(task, pump, done, best, other, _peak_memory(), certified)
     if check and not best.feasible:
         raise InfeasibleError(status, plan=found, evaluation=best)
     return found
 
 
-def _prove(
-    search: Search, best: Evaluation, step: float, seconds: float, gap: float
-) -> tuple[Evaluation, Certificate | None]:
-    """The best motion and its certificate, each with what the other one found."""
-    task, pump = search.task, search.cost
-    try:
-        proof = certificate.certify(
-            task, pump, motion=best.motion, step=step, seconds=seconds, gap=gap, progress=search.tell
-        )
-    except InfeasibleError:  # stages of this length are too coarse for the motion
-        return best, None
-    best = search.look_around(proof.motion)
-    problem = stages.discretise(task, step)
-    again = upper_bound.measure(problem, stages.on_stages(problem, best.motion), pump)
-    if again.keeps_limits and again.energy < proof.energy_j:
-        proof = replace(proof, motion=again.motion, energy_j=again.energy)
-    return best, proof
+@dataclass(slots=True)
+class _Proof:
+    """A proof of how good a motion is, and what it was made with."""
+
+    task: Task
+    pump: str
+    step: float
+    seconds: float
+    gap: float
+    tell: Progress
+    made: Certificate | None = None
+
+    def seek(self, motion: Motion) -> Motion | None:
+        """The best motion that the proof of another one finds; None where there is no proof."""
+        try:
+            self.made = certificate.certify(
+                self.task, self.pump, motion=motion, step=self.step, seconds=self.seconds, gap=self.gap,
+                progress=self.tell,
+            )  # fmt: skip
+        except InfeasibleError:  # stages of this length are too coarse for the motion
+            return None
+        return self.made.motion
+
+    def of(self, motion: Motion) -> Certificate | None:
+        """The certificate, of a motion that is better in its discretised problem; None without a proof."""
+        if self.made is None:
+            return None
+        problem = stages.discretise(self.task, self.step)
+        again = upper_bound.measure(problem, stages.on_stages(problem, motion), self.pump)
+        if again.keeps_limits and again.energy < self.made.energy_j:
+            return replace(self.made, motion=again.motion, energy_j=again.energy)
+        return self.made
 
 
 def _peak_memory() -> int | None:
@@ -235,74 +244,39 @@ def _peak_memory() -> int | None:
 
 def _check(
     task: Task, pump: str, cost: str, method: str, grid: object, step: object, effort: str
-) -> tuple[tuple[int, int], float]:
-    """Grid and step as they are used; InputError for arguments that cannot be, all problems at once."""
-    problems = []
-    if pump not in PUMPS:
-        problems.append(f"pump = {pump}; must be one of {', '.join(PUMPS)}")
-    if cost not in COSTS:
-        problems.append(f"cost = {cost}; must be one of {', '.join(COSTS)}")
-    if method not in METHODS:
-        problems.append(f"method = {method}; must be one of {', '.join(METHODS)}")
-    if effort not in EFFORTS:
-        problems.append(f"effort = {effort}; must be one of {', '.join(EFFORTS)}")
-    nodes, length = value_function.sizes(grid, step, ranges.STAGE, problems)
+) -> tuple[Method, tuple[int, int], float]:
+    """Method, grid and step as they are used; InputError for arguments that cannot be, all problems at once."""
+    problems: list[str] = []
+    noted(problems, one_of, "pump", pump, PUMPS)
+    noted(problems, one_of, "cost", cost, COSTS)
+    chosen = noted(problems, METHODS.find, method)
+    noted(problems, one_of, "effort", effort, EFFORTS)
+    if chosen is not None and cost in COSTS and not chosen.minimises(cost):
+        problems.append(f"method {method} minimises {' or '.join(chosen.costs or ())}, not {cost}")
+    nodes, length = value_function.sizes(grid, step, STAGE, problems)
     check_measurable(task, KEPT)
-    value_function.check_memory(int(np.ceil(task.duration / length)), *nodes)
-    return nodes, length
+    value_function.check_memory(stages.count(task.duration, length), *nodes)
+    assert chosen is not None  # or it would be among the problems
+    return chosen, nodes, length
 
 
-def _by(method: str, search: Search, seeds: Sequence[Motion]) -> Evaluation:
-    """The best judged motion of a method."""
-    if method == "dp":
-        return search.run(seeds)
-    if method == "polish":
-        return search.polish_alone()
-    task = search.task
-    start = starts.start_position(stages.discretise(task, search.step), task.start)
+def _start(task: Task, method: str, step: float) -> float:
+    """Where the redundant cylinder starts [m]; InputError where the task leaves that to a method that cannot say."""
+    start = starts.start_position(stages.discretise(task, step), task.start)
     if start is None:
         raise InputError(f"start = best; method {method} needs smallest, middle or a length")
-    answer = _other_method(method, search, start)
-    judged = evaluate(task, answer)
-    if answer.status.startswith("not converged"):
-        judged = replace(judged, violations=(answer.status, *judged.violations))
-    return judged
+    return start
 
 
-def _other_method(method: str, search: Search, start: float) -> Motion:
-    """The motion of a method that is not this package's own, from a start [m]."""
-    task, cost, tell = search.task, search.cost, search.tell
-    if method.startswith("sns-"):
-        from leanboom.methods import pseudo_inverse
-
-        return pseudo_inverse.resolve(task, start, method.rsplit("-", maxsplit=1)[-1])
-    if method == "dp1":
-        from leanboom.methods import dp_velocity
-
-        return dp_velocity.plan(task, cost, start)
-    if method == "shooting":
-        from leanboom.methods import multiple_shooting
-
-        return multiple_shooting.plan(task, cost, start, tell)
-    if method == "pseudospectral":
-        from leanboom.methods import pseudospectral
-
-        return pseudospectral.plan(task, cost, start, tell)
-    from leanboom.methods import dp_paper
-
-    return dp_paper.plan(task, cost, start, progress=lambda share: tell("Algorithm 1", share))
-
-
-def _explain(search: Search, best: Evaluation) -> str:
+def _explain(task: Task, grid: tuple[int, int], step: float, status: str, tell: Progress) -> str:
     """Why there is no feasible motion: whether that is proven, and the shortest duration found to have one."""
-    task, step = search.task, search.step
-    search.tell("looking for a proof that there is no motion", 0.9)
+    tell("looking for a proof that there is no motion", 0.9)
     problem = stages.discretise(task, step)
     proven = lower_bounds.excludes_motion(problem, starts.start_position(problem, task.start))
-    said = f"no feasible motion{' (proven)' if proven else ' found'}: {best.status}"
-    search.tell("looking for the shortest feasible duration", 0.92)
+    said = f"no feasible motion{' (proven)' if proven else ' found'}: {status}"
+    tell("looking for the shortest feasible duration", 0.92)
     try:
-        factor = shortest_duration(task, search.grid, step)
+        factor = shortest_duration(task, grid, step)
     except InputError:  # a slower task does not fit into memory
         factor = None
     if factor is None or factor <= 1.0:

@@ -26,6 +26,7 @@ from leanboom.errors import InfeasibleError, InputError
 from leanboom.evaluation.evaluate import Evaluation, check_measurable, evaluate
 from leanboom.evaluation.safe_stop import Continuation
 from leanboom.formulas import hydraulics
+from leanboom.methods.registry import STEP
 from leanboom.model import crane as cranes
 from leanboom.model import motion
 from leanboom.model.cost_rates import demanded_pressure, supply_of
@@ -34,7 +35,7 @@ from leanboom.model.task import Part, Task
 from leanboom.planning.replanning import Search, track
 from leanboom.problem import feasible_strokes, stages, starts
 from leanboom.problem.stages import Problem
-from leanboom.quantities.ranges import STAGE, checked, noted
+from leanboom.quantities.ranges import STAGE, checked, noted, one_of
 
 # See `Price`. Tuned on the loader's bundled tasks; a third or three times `WORTH` loses up to 8 % there, at 3 s.
 ROOM, WORTH = 0.8, 0.15
@@ -104,7 +105,7 @@ def plan_receding(
     horizon: float = 3.0,
     every: float = 0.5,
     grid: tuple[int, int] = (141, 71),
-    step: float = 0.05,
+    step: float = STEP,
     check: bool = True,
     progress: Callable[[str, float], None] | None = None,
 ) -> Motion:
@@ -131,7 +132,7 @@ def plan_receding(
     grid, step = _check(task, pump, horizon, every, grid, step)
     value_function.prepare()
     began = time.perf_counter()
-    count = max(2, int(np.ceil(task.duration / step - 1e-9)))
+    count = stages.count(task.duration, step)
     step = task.duration / count
     ahead, often = max(2, round(horizon / step)), max(1, round(every / step))
     start = starts.start_position(
@@ -191,8 +192,7 @@ def _check(
 ) -> tuple[tuple[int, int], float]:
     """Grid and step as they are used; InputError for arguments that cannot be, all problems at once."""
     problems = []
-    if pump not in PUMPS:
-        problems.append(f"pump = {pump}; must be one of {', '.join(PUMPS)}")
+    noted(problems, one_of, "pump", pump, PUMPS)
     nodes, length = noted(problems, value_function.nodes, grid), noted(problems, checked, "step", step, STAGE)
     if length is None:
         pass

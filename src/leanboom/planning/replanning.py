@@ -15,7 +15,7 @@ import numpy as np
 from leanboom.components.costs import COSTS
 from leanboom.dynamic_programming import grids, value_function
 from leanboom.errors import InfeasibleError, InputError
-from leanboom.evaluation import safe_stop
+from leanboom.evaluation import ranking, safe_stop
 from leanboom.evaluation.evaluate import Evaluation, evaluate, judged_cost
 from leanboom.evaluation.safe_stop import Continuation
 from leanboom.model import motion
@@ -23,7 +23,7 @@ from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import feasible_strokes, stages
 from leanboom.problem.stages import Problem
-from leanboom.quantities.ranges import Range
+from leanboom.quantities.ranges import Range, noted, one_of
 
 TUBE = (13, 21)  # nodes of a tube; few positions do, as the tube is narrow
 WIDTH, SPREAD = 0.03, 0.12  # first half widths of a tube, of the stroke range and of the velocity limit
@@ -46,14 +46,13 @@ class Search:
     terminal: value_function.Terminal | None = None  # what the end costs; None: the path ends at rest
     nodes: tuple[int, int] = TUBE  # positions and velocities of a tube
 
-    def score(self, judged: Evaluation) -> tuple[float, float]:
-        """What makes one motion better than another, smaller first: use of limits beyond 1, then cost."""
-        over = 0.0 if judged.feasible else judged.worst_use
+    def score(self, judged: Evaluation) -> tuple[bool, float, float, float]:
+        """Sorting key, the best first: as `ranking.rank`, then by cost."""
         total = judged_cost(judged, self.cost)
         if self.terminal is not None:
             end = np.array([judged.motion.position[-1]]), np.array([judged.motion.velocity[-1]])
             total += float(self.terminal(*end)[0])
-        return over, total
+        return *ranking.rank(judged, total), total
 
     def solve(self, grid: grids.Grid) -> Evaluation:
         """The motion of the dynamic program on a grid, judged."""
@@ -164,8 +163,7 @@ def _check(task, time, position, velocity, pump, grid, step, around) -> tuple[tu
         problems.append(f"time = {time:g} s; must be from 0 s to {latest:g} s, shortly before the end of the path")
     if not (np.isfinite(position) and np.isfinite(velocity)):
         problems.append(f"state = {position:g} m, {velocity:g} m/s; must be finite")
-    if pump not in COSTS:
-        problems.append(f"pump = {pump}; must be one of {', '.join(COSTS)}")
+    noted(problems, one_of, "pump", pump, COSTS)
     if around is not None:
         _check_length(task, around, problems)
     return value_function.sizes(grid, step, STEPS, problems)

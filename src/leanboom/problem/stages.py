@@ -47,20 +47,24 @@ class Problem:
         return slice(1, None) if self.crane.machine.geometry.slewing else slice(0, None)
 
 
+def count(duration: float, step: float) -> int:
+    """Number of equal stages of about `step` [s] in a duration [s]."""
+    return max(2, int(np.ceil(duration / step - 1e-9)))
+
+
 def discretise(task: Task, step: float) -> Problem:
     """Cut a task into equal stages of about `step` [s] and find the feasible extensions of each.
 
     Raises:
         InfeasibleError: If the tool cannot be at its point at some stage, whatever the extension.
     """
-    count = max(2, int(np.ceil(task.duration / step - 1e-9)))
-    time = np.linspace(0.0, task.duration, count + 1)
+    time = np.linspace(0.0, task.duration, count(task.duration, step) + 1)
     crane = cranes.build(task)
     plane = cranes.plane(task.machine, sample(task, time))
     intervals = feasible_strokes(task, crane, plane, time)
     lower = np.array([stage[0, 0] for stage in intervals])
     upper = np.array([stage[-1, 1] for stage in intervals])
-    return Problem(task, crane, task.duration / count, time, plane, lower, upper, intervals)
+    return Problem(task, crane, task.duration / (time.size - 1), time, plane, lower, upper, intervals)
 
 
 def on_stages(problem: Problem, seed: Motion) -> Motion:

@@ -6,7 +6,7 @@ the values of files.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from numbers import Real
@@ -203,6 +203,19 @@ def checked(key: str, value: object, allowed: Range) -> float:
     except Refused as error:
         unit = f" {KINDS[allowed.name].unit}" if isinstance(value, Real) and isfinite(float(value)) else ""
         raise InputError(f"{key} = {shown(value)}{unit.rstrip()}; {error}") from None
+
+
+def one_of(key: str, value: object, allowed: Iterable[str]) -> None:
+    """Raise InputError for a value that is none of the allowed ones.
+
+    Args:
+        key: What the message calls it.
+        value: The value.
+        allowed: The names it may be.
+    """
+    names = tuple(allowed)
+    if value not in names:
+        raise InputError(f"{key} = {value}; must be one of {', '.join(names)}")
 
 
 def noted(problems: list[str], read: Callable[..., T], *arguments: Any) -> T | None:

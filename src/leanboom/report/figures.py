@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from leanboom.model.outcome import SOLVED
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -226,7 +228,7 @@ def _noted(text: str, labels: Sequence[str]) -> str:
 
 
 def _marked(label: str, record: Record) -> str:
-    return label if record["status"] == "solved" or record["energy_ls_j"] is None else label + BROKEN
+    return label if record["status"] == SOLVED or record["energy_ls_j"] is None else label + BROKEN
 
 
 def _labels(comparison: Comparison, start: Start) -> dict[str, str]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from leanboom.io import folders
+from leanboom.model.outcome import SOLVED
 from leanboom.report import figures
 from leanboom.study.papers import experiments, printed_values
 from leanboom.study.papers.experiments import EXPERIMENTS, PATHS, PUMPS, STARTS
@@ -215,7 +216,7 @@ def _energy_table(got: experiments.Records) -> str:
         for start, pump in columns:
             record = got[f"{start}, {row.name}"]
             joules = record[PUMPS[pump]]
-            mark = "" if record["status"] == "solved" else "*"
+            mark = "" if record["status"] == SOLVED else "*"
             cells.append("-" if joules is None else f"{joules / 1e3:.2f}{mark}")
         rows.append(f"| {row.name} | {' | '.join(cells)} |")
     return "\n".join(rows)

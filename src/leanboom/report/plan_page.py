@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from leanboom import __version__
 from leanboom.evaluation import limits
 from leanboom.evaluation.evaluate import SAMPLE, TOLERANCE
-from leanboom.planning.planner import METHODS
+from leanboom.methods.registry import METHODS
 from leanboom.report import energy_section, facts, plan_charts
 
 if TYPE_CHECKING:
@@ -449,12 +449,12 @@ def _assumed_rows(machine: Machine) -> list[tuple[str, str, str]]:
 def _how(plan: Plan, grid: tuple[int, int] | None) -> str:
     motion = plan.motion
     settings = [f"stages of {1e3 * motion.step:g} ms"]
-    if grid is not None and motion.method == "dp":
+    method = METHODS.find(motion.method) if motion.method in METHODS.names() else None
+    if grid is not None and method is not None and method.exhaustive:
         settings.insert(0, f"a coarse grid of {grid[0]} positions and {grid[1]} velocities of the extension cylinder")
-    method = METHODS.get(motion.method, "")
     lines = [
         f"The motion was found by method <strong>{_text(motion.method)}</strong>"
-        + (f" ({_text(method)})" if method else "")
+        + (f" ({_text(method.sentence)})" if method is not None else "")
         + f", minimising the {_goal(plan)}, with {' and '.join(settings)}. The extension cylinder starts at "
         f"{float(motion.position[0]):.4f} m.",
         f"Every energy, pressure and limit on this page, for the plan and for the pseudo-inverse alike, was then "

@@ -8,33 +8,32 @@ late. Whatever ends a run early, the part before it is kept and marked incomplet
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from leanboom.components.costs import PUMPS
 from leanboom.components.pump_power import shaft_of
-from leanboom.components.valves import MobileValve
 from leanboom.errors import InputError
 from leanboom.evaluation.evaluate import Evaluation, evaluate
 from leanboom.formulas import hydraulics, kinematics
-from leanboom.model.motion import Motion, headed
+from leanboom.model.motion import Motion
+from leanboom.model.outcome import COMPLETE, Kind, Outcome
 from leanboom.model.task import Task, sample
+from leanboom.progress import Progress, quiet
+from leanboom.quantities.ranges import one_of
 from leanboom.simulation import controllers, events, path_accuracy, plant
-from leanboom.simulation.adaptive_robust import AdaptiveRobust
-from leanboom.simulation.controllers import DeadZoneInverse, Factory, Rig, Sample
+from leanboom.simulation.controllers import Factory, Rig, Sample
 from leanboom.simulation.events import Event
 from leanboom.simulation.integrator import TOLERANCE, Integrator, SolverError
 from leanboom.simulation.plant import Plant
+from leanboom.simulation.registry import CONTROLLERS
 from leanboom.simulation.valve_sections import Spools
 
-PUMPS = ("ls", "cp")
 SETTLE = 1.0  # [s], the crane is watched after its path has ended
 NEXT_TO_NOTHING = 0.01  # share of a run's energy: a plan of less is not compared with it
 REPORTED = 500  # samples between two reports of progress
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +45,7 @@ class Simulation:
     pump: str  # "ls" or "cp"
     controller: str  # its class
     planned: Evaluation  # what the judge makes of the motion
-    status: str  # `complete`, or why the run ended early
+    status: Outcome  # `complete`, or why the run ended early
     events: tuple[Event, ...]  # in the order of their times
     time: np.ndarray  # [s], (samples,)
     tool: np.ndarray  # [m], (samples, 3)
@@ -70,17 +69,17 @@ class Simulation:
     @property
     def complete(self) -> bool:
         """Whether the run reached its end."""
-        return self.status == "complete"
+        return self.status.kind is Kind.COMPLETE
 
     @property
-    def verdict(self) -> str:
+    def verdict(self) -> Outcome:
         """`solved`, or as a sentence why the run ended early, or what is wrong with the plan it drove."""
         return self.planned.status_with(self.pump) if self.complete else self.status
 
     @property
     def solved(self) -> bool:
         """Whether the run reached its end, and drove a plan that keeps every limit and that the pump can deliver."""
-        return self.verdict == "solved"
+        return self.verdict.solved
 
     @property
     def energy(self) -> float:
@@ -125,8 +124,7 @@ class Simulation:
         return float(self.time[-1]) / max(self.wall_s, 1e-9)
 
     def __repr__(self) -> str:
-        return headed(
-            self.verdict,
+        return self.verdict.head(
             f"Simulation({self.task.name}, {self.motion.method}, {self.pump}: {self.energy / 1e3:.2f} kJ, planned "
             f"{self.planned_energy / 1e3:.2f} kJ, path accuracy {self.path_accuracy:.3f} m, {len(self.events)} "
             f"events, {self.status})",
@@ -138,7 +136,7 @@ def simulate(
     motion: Motion,
     pump: str = "ls",
     *,
-    controller: Factory | None = None,
+    controller: Factory | str | None = None,
     tolerance: float = TOLERANCE,
     progress: Progress | None = None,
 ) -> Simulation:
@@ -148,7 +146,8 @@ def simulate(
         task: The task the motion belongs to.
         motion: Motion of the redundant cylinder, from any method.
         pump: "ls" load-sensing or "cp" constant pressure.
-        controller: A controller's class, see `controllers`; None: the papers' controller for the machine's valve.
+        controller: A controller's class, see `controllers`, or a name of `registry.CONTROLLERS`; None: that of the
+            papers for the machine's valve.
         tolerance: Relative tolerance of the solver.
         progress: Called with what happens and the share done.
 
@@ -156,18 +155,18 @@ def simulate(
         The run. If the solver gives up it holds what came before, and says so in `status`.
 
     Raises:
-        InputError: The motion does not last as long as the task, or leaves the crane's reach; the pump does not exist;
-            or the controller's answer cannot be used.
+        InputError: The motion does not last as long as the task, or leaves the crane's reach; pump or controller do not
+            exist; or the controller's answer cannot be used.
     """
-    if pump not in PUMPS:
-        raise InputError(f"pump = {pump}; must be one of {', '.join(PUMPS)}")
+    one_of("pump", pump, PUMPS)
+    wanted = task.machine.valve.controller if controller is None else controller
+    factory = CONTROLLERS.find(wanted) if isinstance(wanted, str) else wanted
     planned = evaluate(task, motion)
     if not planned.followed:
         raise InputError(f"the motion leaves the crane's reach: {planned.status}; simulate one that keeps its path")
-    tell = progress or (lambda text, share: None)
+    tell = progress or quiet
     tell("building the plant", 0.0)
     crane_plant = plant.build(task)
-    factory = controller or _papers_controller(task)
     step = float(planned.time[1] - planned.time[0])
     start = planned.joint_position[0]
     rig = Rig(crane_plant, start.copy(), step)
@@ -177,11 +176,6 @@ def simulate(
     status = run.drive(chosen, tell)
     result = _result(run, motion, pump, factory, status)
     return replace(result, wall_s=clock.perf_counter() - began)
-
-
-def _papers_controller(task: Task) -> Factory:
-    """The controller that the papers use with the machine's kind of valve."""
-    return DeadZoneInverse if isinstance(task.machine.valve, MobileValve) else AdaptiveRobust
 
 
 class _Run:
@@ -213,7 +207,7 @@ class _Run:
         ]
         self.targets = planned.length - np.array(shortest)
 
-    def drive(self, controller: controllers.Controller, tell: Progress) -> str:
+    def drive(self, controller: controllers.Controller, tell: Progress) -> Outcome:
         """Run to the end; `complete`, or why it ended early."""
         layout, n, planned = self.plant.layout, self.plant.layout.n, self.planned
         delay, last = self.spools.delay, planned.time.size - 1
@@ -239,10 +233,10 @@ class _Run:
             try:
                 self.states[k + 1] = self.integrator.advance(k + 1)
             except SolverError as error:
-                return f"incomplete: {error} at {k * self.step:.3f} s"
+                return Outcome(Kind.INCOMPLETE, f"incomplete: {error} at {k * self.step:.3f} s")
             self.reached = k + 1
         self.commands[-1] = self.commands[-2]
-        return "complete"
+        return COMPLETE
 
     def _answer(self, controller: controllers.Controller, now: Sample) -> np.ndarray:
         answer = np.asarray(controller.command(now), dtype=np.float64)
@@ -267,7 +261,7 @@ class _Run:
 
 
 def _result(
-    run: _Run, motion: Motion, pump: str, factory: Any, status: str
+    run: _Run, motion: Motion, pump: str, factory: Any, status: Outcome
 ) -> Simulation:  # one place where everything recorded is named
     planned, layout = run.planned, run.plant.layout
     task, machine = planned.task, planned.task.machine
@@ -309,7 +303,7 @@ def _result(
     for array in arrays.values():
         array.setflags(write=False)
     found = events.find(task, arrays, observed, planned)
-    if status != "complete":
+    if status.kind is not Kind.COMPLETE:
         found = (*found, Event("solver", "plant", float(time[-1]), 0.0, status))
     return Simulation(
         task=task, motion=motion, pump=pump, controller=getattr(factory, "__name__", type(factory).__name__),

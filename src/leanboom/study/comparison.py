@@ -8,43 +8,30 @@ without a result, each with its reason.
 
 from __future__ import annotations
 
+import pickle
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
-from leanboom.components.costs import COSTS
+from leanboom.components.costs import COSTS, PUMPS
 from leanboom.errors import InputError, LeanboomError
 from leanboom.evaluation.evaluate import check_measurable
-from leanboom.evaluation.remarks import UNDELIVERABLE
+from leanboom.methods.registry import METHODS, STEP, Method
 from leanboom.model.motion import Motion
+from leanboom.model.outcome import Kind, Outcome
 from leanboom.model.task import Start, Task
 from leanboom.planning import planner, summaries
-from leanboom.problem import starts
+from leanboom.planning.planner import Plan
+from leanboom.problem import stages, starts
+from leanboom.progress import Progress, quiet
+from leanboom.quantities.ranges import noted
 from leanboom.study import processes
 
-PUMPS = planner.PUMPS
-# Costs that each method is compared with, in the papers' order; None stands for the pump that is looked at.
-MINIMISED: dict[str, tuple[str | None, ...]] = {
-    "dp": ("ls", "cp", "actuator", "velocity", "extension"),
-    "polish": (None,),
-    "pseudospectral": ("ls", "cp"),
-    "shooting": ("ls", "cp"),
-    "dp1": (None,),
-    "dp-paper": (None,),
-    "sns-joint": ("joint-velocity",),
-    "sns-actuator": ("velocity",),
-    "sns-actuator-weighted": ("weighted-velocity",),
-}
-POINTWISE = ("sns-joint", "sns-actuator", "sns-actuator-weighted")  # minimise what they are named after
-SMOOTH = {"pseudospectral": PUMPS, "shooting": PUMPS}  # state smooth costs for these only
-ON_REQUEST = ("dp-paper",)  # takes minutes
 SIMULATED = ("simulated_energy_j", "simulated_path_accuracy_m")  # what a simulation adds to a row's summary
-UNCONVERGED = "not converged"  # begins the status of a nonlinear program without a result
 
 _ENTRY = re.compile(r"([^\s:()]+)(?:[:(]([^\s:()]+)\)?)?")
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +44,7 @@ class Entry:
     @property
     def label(self) -> str:
         """As the papers write it: method (minimised cost)."""
-        return self.method if self.method in POINTWISE else f"{self.method} ({self.cost})"
+        return self.method if METHODS.find(self.method).pointwise else f"{self.method} ({self.cost})"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,19 +73,19 @@ class Row:
         return self.summary.get(SIMULATED[0])
 
     @property
-    def status(self) -> str:
+    def status(self) -> Outcome:
         """`solved`, the violated limit, or why there is no result."""
         return self.summary["status"]
 
     @property
     def solved(self) -> bool:
         """Whether there is a motion that keeps every limit and that the pump can deliver."""
-        return self.motion is not None and self.status == "solved"
+        return self.status.solved
 
     @property
     def feasible(self) -> bool:
         """Whether there is a motion that keeps every limit, be it too much for the pump."""
-        return self.solved or (self.motion is not None and self.status.startswith(UNDELIVERABLE))
+        return self.status.feasible
 
     @property
     def rank(self) -> tuple[int, float]:
@@ -159,37 +146,36 @@ def entries(methods: Sequence[str] | None, pumps: Sequence[str]) -> tuple[Entry,
     Raises:
         InputError: A method or cost does not exist, or does not apply to the other; all problems are named.
     """
-    asked = [name for name in MINIMISED if name not in ON_REQUEST] if methods is None else methods
+    asked = [name for name in METHODS.names() if not METHODS.find(name).slow] if methods is None else methods
     found: dict[Entry, None] = {}
     problems = []
     for text in asked:
         parts = _ENTRY.fullmatch(text.strip())
         method, cost = parts.groups() if parts else (text.strip(), None)
-        if method not in MINIMISED:
-            problems.append(f"method = {method or 'nothing'}; must be one of {', '.join(MINIMISED)}")
-        elif cost is not None and (problem := _unfit(method, cost)):
+        if (chosen := noted(problems, METHODS.find, method)) is None:
+            continue
+        if cost is not None and (problem := _unfit(method, chosen, cost)):
             problems.append(problem)
-        else:
-            costs = MINIMISED[method] if cost is None else (cost,)
-            for each in costs:
-                found |= dict.fromkeys(Entry(method, name) for name in (pumps if each is None else [each]))
+            continue
+        costs = (chosen.compared or pumps) if cost is None else (cost,)
+        found |= dict.fromkeys(Entry(method, each) for each in costs)
     if not asked:
-        problems.append(f"methods = nothing; choose some of {', '.join(MINIMISED)}")
+        problems.append(f"methods = nothing; choose some of {', '.join(METHODS.names())}")
     if problems:
         raise InputError("\n".join(problems))
     return tuple(found)
 
 
-def _unfit(method: str, cost: str) -> str:
+def _unfit(method: str, chosen: Method, cost: str) -> str:
     """Why a method does not minimise a cost; nothing if it does."""
-    if method in POINTWISE:
-        own = MINIMISED[method][0]
-        return "" if cost == own else f"method = {method}:{cost}; a pseudo-inverse minimises {own} at every instant"
+    own = chosen.costs or tuple(COSTS)
+    if cost in own:
+        return ""
+    if chosen.pointwise:
+        return f"method = {method}:{cost}; a pseudo-inverse minimises {own[0]} at every instant"
     if cost not in COSTS:
         return f"cost = {cost}; must be one of {', '.join(COSTS)}"
-    if method in SMOOTH and cost not in SMOOTH[method]:
-        return f"method = {method}:{cost}; has smooth costs for {', '.join(SMOOTH[method])} alone"
-    return ""
+    return f"method = {method}:{cost}; minimises {', '.join(own)} alone"
 
 
 def compare(
@@ -233,27 +219,27 @@ def compare(
     check_measurable(task, planner.KEPT)
     tasks = {each: replace(task, start=each) for each in starts}
     first = {each: _start_position(tasks[each]) for each in starts}
-    tell = progress or (lambda text, share: None)
+    tell = progress or quiet
     asked = [(tasks[each], entry, pumps, simulate) for each in starts for entry in wanted]
     tell(f"comparing {len(asked)} solutions", 0.0)
     ended = 0
 
-    def report(index: int, outcome: processes.Outcome) -> None:
+    def report(index: int, result: processes.CallResult) -> None:
         nonlocal ended
         ended += 1
         each, entry, *_ = asked[index]
-        how = "failed" if outcome.failed else "done"
+        how = "failed" if result.failed else "done"
         tell(f"{entry.label} from {each.start} {how}: {ended} of {len(asked)}", ended / len(asked))
 
-    outcomes = processes.each(solve, asked, workers, report)
+    results = processes.each(partial(_solve_with, _added()), asked, workers, report)
     rows = []
-    for (each, entry, *_), outcome in zip(asked, outcomes, strict=True):
+    for (each, entry, *_), result in zip(asked, results, strict=True):
         for name in pumps:
-            if outcome.failed:
-                reason = outcome.failure.splitlines()[0]
+            if result.failed:
+                reason = result.failure.splitlines()[0]
                 rows.append(_failed(each, entry, name, first[each.start], reason, simulate))
             else:
-                summaries, motion = outcome.value
+                summaries, motion = result.value
                 rows.append(Row(entry, name, each.start, summaries[name], motion))
     order = {(each, name): i for i, (each, name) in enumerate((s, p) for s in starts for p in pumps)}
     rows.sort(key=lambda row: (order[row.start, row.pump], row.rank))
@@ -273,16 +259,49 @@ def solve(asked: tuple[Task, Entry, tuple[str, ...], bool]) -> tuple[dict[str, d
         LeanboomError: If the method has no result; the text says why.
     """
     task, entry, pumps, simulate = asked
-    cost = None if entry.method in POINTWISE else entry.cost
-    plan = planner.run(task, pump=pumps[0], cost=cost, method=entry.method, baseline=False, check=False)
-    if plan.evaluation.status.startswith(UNCONVERGED) or plan.motion.status.startswith(UNCONVERGED):
-        raise LeanboomError(plan.motion.status)
+    plan = plan_row(task, entry.method, entry.cost, pump=pumps[0])
     found = {}
     for pump in pumps:
         found[pump] = {**summaries.summary(replace(plan, pump=pump)), "cost": entry.cost}
         if simulate:
             found[pump] |= _simulated(task, plan.motion, pump)
     return found, plan.motion
+
+
+def plan_row(task: Task, method: str, cost: str, **settings: Any) -> Plan:
+    """The plan of a method and the cost it minimises.
+
+    Args:
+        task: What to do.
+        method: The method.
+        cost: Its cost.
+        **settings: Further arguments of `planner.run`.
+
+    Raises:
+        LeanboomError: If the method has no result; the text says why.
+    """
+    own = None if METHODS.find(method).pointwise else cost
+    plan = planner.run(task, cost=own, method=method, baseline=False, check=False, **settings)
+    if plan.status.kind is Kind.UNCONVERGED:
+        raise LeanboomError(plan.status)
+    return plan
+
+
+def _added() -> dict[str, Method]:
+    """Methods that were added in this process, for those that compute rows; InputError if they cannot be sent there."""
+    for name, method in METHODS.added.items():
+        try:
+            pickle.dumps(method)
+        except Exception:  # of whatever kind: the object decides
+            text = "its function must be one of a module, for other processes to import"
+            raise InputError(f"method = {name}; {text}") from None
+    return METHODS.added
+
+
+def _solve_with(added: dict[str, Method], asked: tuple) -> Any:
+    """What `solve` answers in a process that knows some more methods."""
+    METHODS.added.update(added)
+    return solve(asked)
 
 
 def _simulated(task: Task, motion: Motion, pump: str) -> dict[str, float | None]:
@@ -298,9 +317,7 @@ def _simulated(task: Task, motion: Motion, pump: str) -> dict[str, float | None]
 
 def _start_position(task: Task) -> float | None:
     """Where the redundant cylinder starts [m]; None where that is left to the method."""
-    from leanboom.problem import stages
-
-    return starts.start_position(stages.discretise(task, 0.05), task.start)
+    return starts.start_position(stages.discretise(task, STEP), task.start)
 
 
 def _failed(task: Task, entry: Entry, pump: str, start: float | None, reason: str, simulate: bool) -> Row:
@@ -312,7 +329,7 @@ def _failed(task: Task, entry: Entry, pump: str, start: float | None, reason: st
         "cost": entry.cost,
         "method": entry.method,
         "start_m": start,
-        "status": reason,
+        "status": Outcome(Kind.FAILED, reason),
         "duration_s": float(task.duration),
         "limit_use": {"position": None, "velocity": None, "acceleration": None},
     }

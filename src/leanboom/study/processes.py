@@ -25,7 +25,7 @@ STARTING, VALUE, REFUSAL, FAILURE = "starting", "value", "refusal", "failure"
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class CallResult:
     """What became of a call."""
 
     value: Any = None
@@ -50,18 +50,18 @@ def each(
     function: Callable[[Any], Any],
     arguments: Sequence[Any],
     workers: int | None = None,
-    done: Callable[[int, Outcome], None] | None = None,
-) -> list[Outcome]:
+    done: Callable[[int, CallResult], None] | None = None,
+) -> list[CallResult]:
     """Call a function with every argument, as many at a time as there are workers.
 
     Args:
         function: A function of a module, of one argument; both, and its value, must be picklable.
         arguments: The arguments, one a call.
         workers: Calls at a time; None: one a core.
-        done: Called in this process whenever a call has ended, with its index and outcome.
+        done: Called in this process whenever a call has ended, with its index and result.
 
     Returns:
-        The outcomes, in the order of the arguments.
+        The results, in the order of the arguments.
 
     Raises:
         LeanboomError: If processes cannot start.
@@ -71,7 +71,7 @@ def each(
     if context.get_start_method() == "forkserver":
         context.set_forkserver_preload([*PRELOADED])
     waiting = list(range(len(arguments)))[::-1]
-    outcomes = [Outcome() for _ in arguments]
+    results = [CallResult() for _ in arguments]
     running: dict[Any, tuple[int, Any, list]] = {}
     try:
         while waiting or running:
@@ -87,7 +87,7 @@ def each(
                 if (ended := _listen(pipe, process, said)) is None:
                     continue
                 del running[pipe]
-                outcomes[index] = ended
+                results[index] = ended
                 if done is not None:
                     done(index, ended)
     finally:
@@ -95,11 +95,11 @@ def each(
             process.terminate()
             process.join()
             pipe.close()
-    return outcomes
+    return results
 
 
-def _listen(pipe: Any, process: Any, said: list) -> Outcome | None:
-    """What a process says next: its outcome, or None for now."""
+def _listen(pipe: Any, process: Any, said: list) -> CallResult | None:
+    """What a process says next: its result, or None for now."""
     try:
         word, value = pipe.recv()
     except EOFError:
@@ -110,16 +110,16 @@ def _listen(pipe: Any, process: Any, said: list) -> Outcome | None:
     process.join()
     pipe.close()
     if word == VALUE:
-        return Outcome(value)
+        return CallResult(value)
     if value:
-        return Outcome(failure=value, refused=word == REFUSAL)
+        return CallResult(failure=value, refused=word == REFUSAL)
     if not said:
         raise LeanboomError(
             "a process could not start; a script that calls this must do so below: if __name__ == '__main__':"
         )
     code = process.exitcode
     how = f"signal {-code}, {signal.strsignal(-code)}" if code and code < 0 else f"exit code {code}"
-    return Outcome(failure=f"its process ended unexpectedly ({how})")
+    return CallResult(failure=f"its process ended unexpectedly ({how})")
 
 
 def _call(pipe: Any, function: Callable[[Any], Any], argument: Any) -> None:

@@ -14,6 +14,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from leanboom.io import loading
+from leanboom.methods.registry import METHODS
+from leanboom.model.outcome import SOLVED
 from leanboom.model.task import Task
 from leanboom.study.papers import printed_values
 from leanboom.study.papers.variations import heavier, lengthened, moved, resized, rubbed, turned
@@ -38,7 +40,7 @@ class Job:
     """A solution that an experiment needs."""
 
     task: Task
-    method: str  # a name of `planner.METHODS`, or COARSE
+    method: str  # a name of `registry.METHODS`, or COARSE
     cost: str
     grid: tuple[int, int] = GRID
 
@@ -156,7 +158,7 @@ def _table_lines(name: str, rows: tuple[printed_values.Entry, ...], pump: str, g
 
 def _broken(record: Record) -> str:
     """What a record's motion breaks, in few words; nothing if it keeps every limit."""
-    if record["status"] == "solved":
+    if record["status"] == SOLVED:
         return ""
     limit = re.search(r"(position|velocity|acceleration) of (\w+)", record["status"])
     return f"breaks the {limit[1]} limit of {limit[2]}" if limit else record["status"]
@@ -348,14 +350,14 @@ def _sensitivity_jobs() -> dict[str, Job]:
         for cost in SWEPT:
             jobs[f"loader, {name}, {cost}"] = Job(task, "dp", cost, SWEEP_GRID)
         for row in printed_values.TABLE2:
-            if row.method.startswith("sns"):
+            if METHODS.find(row.method).pointwise:
                 jobs[f"loader, {name}, {row.method}"] = Job(task, row.method, row.cost)
     for path in PATHS:
         for name, task in path_variations(path).items():
             for pump in PUMPS:
                 jobs[f"{path}, {name}, {pump}"] = Job(task, "dp", pump, SWEEP_GRID)
             for row in printed_values.SOLUTIONS:
-                if row.method.startswith("sns"):
+                if METHODS.find(row.method).pointwise:
                     jobs[f"{path}, {name}, {row.method}"] = Job(task, row.method, row.cost)
     return jobs
 
@@ -363,7 +365,7 @@ def _sensitivity_jobs() -> dict[str, Job]:
 def _sensitivity_lines(got: Records) -> list[Line]:
     lines = []
     for table, rows, pump in (("Table 2", printed_values.TABLE2, "cp"), ("Table 3", printed_values.TABLE3, "ls")):
-        swept = [row for row in rows[1:] if row.method == "dp" or row.method.startswith("sns")]
+        swept = [row for row in rows[1:] if row.method == "dp" or METHODS.find(row.method).pointwise]
         for row in swept:
             for name in variations():
                 mine = got[f"loader, {name}, {row.cost if row.method == 'dp' else row.method}"]

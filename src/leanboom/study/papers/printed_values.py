@@ -16,7 +16,7 @@ class Entry:
     """A row of a table or chart: its name, and our method and minimised cost for it."""
 
     name: str  # as printed
-    method: str  # a name of `planner.METHODS`
+    method: str  # a name of `registry.METHODS`
     cost: str
     value: float | None = None  # relative cost of the simplified model
     full: float | None = None  # of the full one

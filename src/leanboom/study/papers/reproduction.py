@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,22 +19,22 @@ from pydantic import BaseModel, ConfigDict, FiniteFloat, model_validator
 
 from leanboom import __version__
 from leanboom.dynamic_programming import grids
-from leanboom.errors import InputError, LeanboomError
+from leanboom.errors import InputError
 from leanboom.fingerprint import fingerprint
 from leanboom.io import folders
+from leanboom.methods.registry import METHODS, STEP
 from leanboom.model.motion import Motion
+from leanboom.model.outcome import SOLVED
 from leanboom.model.task import Task
 from leanboom.problem import starts
-from leanboom.study import processes
+from leanboom.progress import Progress, quiet
+from leanboom.study import comparison, processes
 from leanboom.study.papers.experiments import COARSE, EXPERIMENTS, Job, Line, Record, Records
 
 SMOOTH = 5.0  # [Hz], both papers filter their plans before they are measured
-STEP = 0.05  # [s]
 POINTS = 601  # of a motion in its record, at most
 CLOSED_LOOP = ("driven_ls_j", "driven_cp_j", "accuracy_ls_m", "accuracy_cp_m")  # numbers of a record
-SOLVED = "solved"  # folder of the solutions
-
-Progress = Callable[[str, float], None]
+FOLDER = "solved"  # of the solutions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +101,7 @@ def reproduce(
         InputError: An experiment does not exist, or the folder cannot be used.
     """
     wanted = names(asked)
-    tell = progress or (lambda text, share: None)
+    tell = progress or quiet
     needed = {name: {row: (key(job), job) for row, job in EXPERIMENTS[name].jobs().items()} for name in wanted}
     every = {digest: job for rows in needed.values() for digest, job in rows.values()}
     known = {digest: record for digest in every if (record := _read(folder, digest)) is not None}
@@ -110,10 +110,10 @@ def reproduce(
     missing.sort(key=lambda digest: -_effort(every[digest]))
     tell(f"{len(known)} of {len(every)} solutions at hand", len(known) / len(every))
 
-    def keep(index: int, outcome: processes.Outcome) -> None:
+    def keep(index: int, result: processes.CallResult) -> None:
         digest = missing[index]
-        record = _nothing(outcome.failure) if outcome.failed else outcome.value
-        if not outcome.failed or outcome.refused:  # what was killed is tried again next time
+        record = _nothing(result.failure) if result.failed else result.value
+        if not result.failed or result.refused:  # what was killed is tried again next time
             _keep(folder, digest, record)
         known[digest] = record
         job = every[digest]
@@ -145,9 +145,8 @@ def key(job: Job) -> str:
 
 def _effort(job: Job) -> float:
     """How long a job takes, roughly, relative to others."""
-    times = {"shooting": 60.0, "pseudospectral": 30.0, "dp": 6.0, COARSE: 6.0}
-    dear = 3.0 if job.cost == "ls" and job.method in ("shooting", "pseudospectral") else 1.0
-    return dear * times.get(job.method, 1.0) * job.task.duration * job.grid[0] * job.grid[1]
+    weight = METHODS.find("dp" if job.method == COARSE else job.method).weight
+    return (3.0 if job.cost == "ls" else 1.0) * weight * job.task.duration * job.grid[0] * job.grid[1]
 
 
 def solve(job: Job) -> dict[str, Any]:
@@ -169,7 +168,6 @@ def solve(job: Job) -> dict[str, Any]:
 
     from leanboom.dynamic_programming import value_function
     from leanboom.evaluation.evaluate import evaluate
-    from leanboom.planning import planner
     from leanboom.problem import stages
 
     began = time.process_time()
@@ -183,16 +181,13 @@ def solve(job: Job) -> dict[str, Any]:
         )
         first = evaluate(task, found)
     else:
-        cost = None if job.method.startswith("sns") else job.cost
-        plan = planner.run(task, cost=cost, method=job.method, grid=job.grid, step=STEP, baseline=False, check=False)
+        plan = comparison.plan_row(task, job.method, job.cost, grid=job.grid)
         found, first = plan.motion, plan.evaluation
-        if first.status.startswith("not converged") or found.status.startswith("not converged"):
-            raise LeanboomError(found.status)
-    status = next(iter(first.violations), "solved")  # the papers know no limits of the pump
+    status = next(iter(first.violations), SOLVED)  # the papers know no limits of the pump
     judged = evaluate(replace(task, smooth=SMOOTH), found)
     at = np.unique(np.linspace(0, judged.time.size - 1, min(POINTS, judged.time.size)).round().astype(int))
     return {
-        "status": status,
+        "status": str(status),
         "energy_ls_j": judged.energy_ls,
         "energy_cp_j": judged.energy_cp,
         "flow_m3": float(np.trapezoid(judged.pump_flow, judged.time)),
@@ -247,7 +242,7 @@ class _Kept(BaseModel):
     @model_validator(mode="after")
     def _belongs_together(self) -> _Kept:
         numbers = (self.energy_ls_j, self.energy_cp_j, self.flow_m3, self.pressure_pa, self.solve_s, self.cpu_s)
-        if None in numbers and (self.status == "solved" or self.time_s):
+        if None in numbers and (self.status == SOLVED or self.time_s):
             raise ValueError("a solution has all its numbers")
         if not len(self.time_s) == len(self.stroke_m) == len(self.supply_ls_pa):
             raise ValueError("samples must be equal in number")
@@ -273,13 +268,13 @@ def _keep(folder: Path, digest: str, record: Record) -> None:
     """Write a record; the file appears whole or not at all."""
     record = _Kept.model_validate(dict(record)).model_dump()
     text = json.dumps({"record": record, "sha256": _seal(digest, record)}, allow_nan=False) + "\n"
-    folders.write(folder, {f"{SOLVED}/{digest}.json": text.encode()})
+    folders.write(folder, {f"{FOLDER}/{digest}.json": text.encode()})
 
 
 def _read(folder: Path, digest: str) -> Record | None:
     """A kept record; None if there is none, or it is not as it was written: then it is solved again."""
     try:
-        kept = _Sealed.model_validate_json((folder / SOLVED / f"{digest}.json").read_bytes())
+        kept = _Sealed.model_validate_json((folder / FOLDER / f"{digest}.json").read_bytes())
     except (OSError, ValueError):
         return None
     record = kept.record.model_dump()
