@@ -46,6 +46,7 @@ NEAR = 1.05  # a pseudo-inverse of long steps within this factor of the best is 
 MOVING, TOUCHING = 1e-3, 1e-4  # a limit that moves [m/s], and a motion on it [m]
 FINER = 5e-4  # stages are halved again while that gains more than this share
 REPAIRABLE, ROOM = 1.05, 0.9995  # limits used up to this much too far are polished again, to below this share
+TIGHTENED = 4  # times shorter stages may be, beyond the effort's, where limits had to be tightened
 FAR = 5e-3  # a seed that is this share behind the best after a round is not polished again
 SETTLED = 1e-4  # polishing ends when it gains less than this share
 NARROW = 0.8  # share of the velocities of a grid beyond which a motion asks for a wider grid
@@ -107,6 +108,7 @@ class Search:
         self.began = time.perf_counter()
         self.log: list[str] = []
         self.best: Evaluation | None = None
+        self.tightened: Evaluation | None = None  # the last one polished with tightened limits
         self.loads = COSTS[cost].loads
         self.step = stage_length(task, cost, step)
         self.short = self.step < step
@@ -261,10 +263,11 @@ class Search:
     def finer_stages(self, start: float | None) -> None:
         """Refine on stages half and a quarter as long: switches and moving limits ask for it.
 
-        The second halving is for tasks of few stages with loads, and where a moving limit made the first one pay.
+        The second halving is for tasks of few stages with loads, and where a moving limit made the first one pay. More
+        follow where the best motion keeps its limits between stages by tightened ones alone: shorter stages need less.
         """
         factor = 2
-        while factor <= self.effort.shortest:
+        while factor <= self.effort.shortest * (TIGHTENED if self.best is self.tightened else 1):
             before = self.known_best()
             problem = stages.discretise(self.task, self.step / factor)
             self.tell(f"stages of {problem.step:.3g} s", 0.8)
@@ -348,13 +351,15 @@ class Search:
         return best
 
     def repair(self, polisher: Polisher, judged: Evaluation, switches: Modes, free: bool) -> Evaluation:
-        """Polish again with room for what a polished motion broke between the ends of its intervals."""
+        """Polish again with limits tightened by what a polished motion broke between the ends of its intervals."""
         use = judged.limit_use
         share = min(1.0, ROOM / use.velocity), min(1.0, ROOM / use.acceleration)
         answer, text = modes.solve(polisher, judged.motion, switches, free, share)
         if answer is None:
             return judged
-        return self.judge(answer, f"polish with room between stages ({text})")
+        found = self.judge(answer, f"polish with tightened limits ({text})")
+        self.tightened = found if self.best is found else self.tightened
+        return found
 
     def polish_alone(self) -> Evaluation:
         """The polish from the pseudo-inverse: nonlinear programming without the dynamic program."""
