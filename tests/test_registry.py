@@ -15,6 +15,8 @@ from leanboom.methods import pseudo_inverse
 from leanboom.methods.registry import METHODS, Method, Settings
 from leanboom.model import motion
 from leanboom.model.outcome import SOLVED, Kind, Outcome
+from leanboom.simulation import plant
+from leanboom.simulation.controllers import Rig
 from leanboom.simulation.registry import CONTROLLERS
 
 TASK = replace(lb.load_task("forwarder-vertical"), start="middle")
@@ -148,6 +150,15 @@ def test_controllers_from_outside_drive_by_their_names(installed, added):
     run = lb.simulate(TASK, still, controller="proportional")
     assert run.complete and run.controller == "Proportional"
     assert lb.simulate(TASK, still, controller="slack").energy != run.energy
+
+
+@pytest.mark.parametrize(("name", "controller"), [("forwarder", "adaptive-robust"), ("loader", "dead-zone-inverse")])
+def test_a_controller_of_the_other_kind_of_valve_is_refused(name, controller):
+    """By name it can be chosen for any machine; an assertion failed."""
+    task = TASK if name == "forwarder" else lb.load_task("loader-triangle-small")
+    rig = Rig(plant.build(task), np.zeros(len(task.machine.cylinders)), 0.002)
+    with pytest.raises(InputError, match=f"^controller = {controller}; drives "):
+        CONTROLLERS.find(controller)(rig)
 
 
 def test_help_lists_what_is_installed_and_messages_name_the_package(installed):

@@ -30,6 +30,7 @@ import math
 import numpy as np
 
 from leanboom.components.valves import IndependentMetering
+from leanboom.errors import InputError
 from leanboom.model import crane as cranes
 from leanboom.simulation import plant, valve_sections
 from leanboom.simulation.controllers import Rig, Sample
@@ -75,7 +76,8 @@ class _Function:
         machine = crane.machine
         cylinder, joint = machine.cylinders[index], machine.joints[index]
         valve = machine.valve
-        assert isinstance(valve, IndependentMetering)  # see `closed_loop.controller_of`
+        if not isinstance(valve, IndependentMetering):
+            raise InputError("controller = adaptive-robust; drives independent metering, the machine has another valve")
         self._a, self._b = cylinder.piston_area, cylinder.rod_side_area
         self._travel = plant.retracted(cylinder, joint.lower, joint.upper)[1]
         self._dead, self._bulk = machine.circuit.dead_volume, machine.circuit.bulk_modulus

@@ -32,6 +32,7 @@ from typing import Protocol
 import numpy as np
 
 from leanboom.components.valves import Connection, IndependentMetering
+from leanboom.errors import InputError
 from leanboom.model.crane import Crane
 from leanboom.simulation import plant as plants
 from leanboom.simulation.integrator import Integrator
@@ -97,6 +98,10 @@ class DeadZoneInverse:
     """
 
     def __init__(self, rig: Rig):
+        if isinstance(rig.plant.crane.machine.valve, IndependentMetering):
+            raise InputError(
+                "controller = dead-zone-inverse; drives mobile valves, the machine has independent metering"
+            )
         self._tables = [(row[:, 0].tolist(), row[:, 1].tolist()) for row in measured_table(rig.plant.crane)]
         self._regulating = [False] * len(self._tables)
         self._command = np.zeros(len(self._tables))
