@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+import json
+import re
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from math import pi
+from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from leanboom.cli.app import app
 from leanboom.components.linkages import LINKAGES, Linkage
 from leanboom.components.valves import VALVES, IndependentMetering, Valve, driven
 from leanboom.errors import InputError
 from leanboom.evaluation.evaluate import evaluate
 from leanboom.io import starter
 from leanboom.io.loading import dump_machine, dump_task, json_schema, load_machine, load_task
+from leanboom.io.schema import PATHS, MachineKeys, TaskKeys
 from leanboom.model.motion import from_velocities
+from leanboom.quantities.declarations import Section, Variant
+from leanboom.quantities.ranges import Range
+from leanboom.quantities.rules import Switch, Word
 from leanboom.quantities.types import PositiveLength, Pressure
+from leanboom.quantities.units import parse, write
 from leanboom.simulation.closed_loop import simulate
 
 LEAD = 2.0 * pi * 0.1146  # of the screw that moves the base as the forwarder's pinion does
@@ -153,3 +164,124 @@ def test_the_simulation_says_which_valves_it_knows(tmp_path):
     task = replace(task, machine=replace(task.machine, valve=Throttled(0.0)))
     with pytest.raises(InputError, match="^valve = Throttled; the simulation knows the edges of mobile_valve, ind"):
         simulate(task, still(task), pump="cp")
+
+
+# Command and documentation
+
+
+@pytest.mark.parametrize("kind", ["machine", "task"])
+def test_the_command_prints_the_schema(kind):
+    result = CliRunner().invoke(app, ["schema", kind])
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert json.loads(result.stdout) == json_schema(kind)
+
+
+def tables(page):
+    """The cells of a page's tables, row by row, by the heading above; the first row is that of column names."""
+    found, heading = {}, ""
+    for line in page.splitlines():
+        if line.startswith("#"):
+            heading = line.strip("# ")
+        elif line.startswith("| ") and not line.startswith("| ---"):
+            found.setdefault(heading, []).append([cell.strip() for cell in line.strip("|").split(" | ")])
+    return found
+
+
+TABLES = tables((Path(__file__).parents[1] / "docs" / "files.md").read_text(encoding="utf-8"))
+
+
+def keys(section, prefix=""):
+    """The single values of a section, by their keys."""
+    return {f"{prefix}{name}": field for name, field in section.fields.items()}
+
+
+def told(field):
+    """How the second column begins: unit and range, or the words."""
+    rule = field.rule
+    if isinstance(rule, Range):
+        unit = "" if rule.bounds.startswith("from") else rule.kind.unit  # its ends have units
+        return ", ".join(part for part in (unit, rule.bounds) if part)
+    if isinstance(rule, Word):
+        return ", ".join(f"`{word}`" for word in rule.choices)
+    return "switch" if isinstance(rule, Switch) else ""
+
+
+def default(field):
+    """What the second column says of a default."""
+    if field.required or field.default in (None, ""):
+        return "default"
+    if isinstance(field.default, bool):
+        return f"default `{str(field.default).lower()}`"
+    return f"default {write(field.default, field.rule.kind) if field.default else 0}"
+
+
+def of_machine(*names):
+    """Sections of a machine file: their single values."""
+    return {name: field for name, field in keys(Section(MachineKeys)).items() if name in names}
+
+
+MACHINE = Section(MachineKeys).fields
+VALVE_KEYS = {key: field for each in Variant(VALVES).sections for key, field in keys(each, "valve.").items()}
+PARTS = {
+    "Machine file": of_machine("name", "description", "gravity", "driven_velocity"),
+    "geometry": keys(MACHINE["geometry"].rule),
+    "bodies": keys(MACHINE["bodies"].rule.section_of(None)),
+    "payload, valve, pump, dynamics": {
+        **keys(MACHINE["payload"].rule, "payload."), **VALVE_KEYS, **keys(MACHINE["pump"].rule, "pump."),
+        **keys(MACHINE["dynamics"].rule, "dynamics."),
+    },
+    "Efficiency map": keys(MACHINE["pump"].rule.fields["efficiency"].rule.section),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("heading", "declared"), PARTS.items(), ids=PARTS)
+def test_the_tables_of_the_files_page_hold_the_declared_keys_units_and_defaults(heading, declared):
+    rows = [row for row in TABLES[heading][1:] if row[0] != "`valve.type`"]
+    assert [name for row in rows for name in re.findall(r"`([\w.]+)`", row[0])] == list(declared)
+    for row in rows:
+        for name in re.findall(r"`([\w.]+)`", row[0]):
+            field = declared[name]
+            assert row[1].startswith(told(field)), f"{name}: {row[1]}; {told(field)}"
+            assert (default(field) in row[1]) != field.required, f"{name}: {row[1]}; {default(field)}"
+
+
+def test_the_cylinders_of_the_files_page_are_the_declared_ones():
+    """Three tables below one heading: the cylinder's keys, the linkages', those of the friction."""
+    cells = TABLES["cylinders"]
+    starts = [i for i, row in enumerate(cells) if row[0] in ("key", "type")]
+    cylinder, linkages, friction = (cells[a + 1 : b] for a, b in pairwise([*starts, len(cells)]))
+    section = MACHINE["cylinders"].rule.fields["lift"].rule
+    names = [name for row in cylinder for name in re.findall(r"`(\w+)`", row[0])]
+    assert names == list(section.fields)
+    for row in cylinder:
+        first = re.findall(r"`(\w+)`", row[0])[0]
+        assert row[1].startswith(told(section.fields[first])), f"{first}: {row[1]}"
+    found = {row[0].strip("`"): re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", row[1]))) for row in linkages}
+    assert found == {each.tag: list(each.fields) for each in Variant(LINKAGES).sections}
+    declared = keys(section.fields["friction"].rule)
+    assert [row[0].strip("`") for row in friction] == list(declared)
+    for row in friction:
+        field = declared[row[0].strip("`")]
+        assert row[1].startswith(told(field)) and (default(field) in row[1]) != field.required, row
+
+
+def test_the_simulation_of_the_files_page_has_the_defaults_of_each_valve():
+    rows = TABLES["simulation"][1:]
+    declared = keys(MACHINE["simulation"].rule)
+    assert [row[0].strip("`") for row in rows] == list(declared)
+    for row in rows:
+        name, rule = row[0].strip("`"), declared[row[0].strip("`")].rule
+        assert row[1].startswith(told(declared[name])), f"{name}: {row[1]}; {told(declared[name])}"
+        for cell, valve in zip(row[2:4], VALVES.values(), strict=True):
+            assert parse(cell, rule.kind) == pytest.approx(getattr(valve.circuit, name), rel=1e-12), f"{name}: {cell}"
+
+
+def test_the_task_of_the_files_page_has_the_declared_keys():
+    paths = {key: field for each in Variant(PATHS).sections for key, field in keys(each, "path.").items()}
+    task = keys(Section(TaskKeys))
+    expected = [*list(task)[:3], "path.type", *paths, *list(task)[4:]]
+    rows = TABLES["Task file"][1:]
+    assert [row[0].strip("`") for row in rows] == expected
+    for name in ("payload", "smooth"):
+        row = next(row for row in rows if row[0] == f"`{name}`")
+        assert row[1].startswith(told(task[name])) and (default(task[name]) in row[1]) != task[name].required, row

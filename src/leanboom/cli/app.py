@@ -1,4 +1,4 @@
-"""The command line: `plan`, `certify`, `simulate`, `compare`, `reproduce`, `new`, `check`, `machines`, `tasks`.
+"""The command line: planning, certificates, simulation, studies, files.
 
 Results go to standard output, for people as tables and with `--json` as one object and nothing else; progress and
 problems go to standard error. Exit codes: 0 done, 1 no feasible motion, 2 bad input, 130 interrupted, 143 ended on
@@ -17,7 +17,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
-from leanboom.cli.files import check, machines, new, tasks
+from leanboom.cli.files import check, machines, new, schema, tasks
 from leanboom.cli.planning import certify, plan, simulate
 from leanboom.cli.studies import compare, reproduce
 from leanboom.cli.terminal import Terminated, complain
@@ -121,5 +121,5 @@ class _Listing(TyperCommand):
         super().format_help(ctx, formatter)
 
 
-for _command in (plan, certify, simulate, compare, reproduce, new, check, machines, tasks):
+for _command in (plan, certify, simulate, compare, reproduce, new, schema, check, machines, tasks):
     app.command(cls=_Listing)(_command)

@@ -1,4 +1,4 @@
-"""The commands about machine and task files: `new`, `check`, `machines`, `tasks`."""
+"""The commands about machine and task files: `new`, `schema`, `check`, `machines`, `tasks`."""
 
 from __future__ import annotations
 
@@ -24,6 +24,15 @@ def new(
         return
     starter.write(kind, path)
     typer.echo(f"Written: {path}; check it with: leanboom check {path}")
+
+
+def schema(
+    kind: Annotated[Literal["machine", "task"], typer.Argument(help="What the files describe.")],
+) -> None:
+    """Print the JSON schema of machine or task files, for editors that complete and check keys."""
+    from leanboom.io import loading
+
+    print_json(loading.json_schema(kind))
 
 
 def check(

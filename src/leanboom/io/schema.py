@@ -121,10 +121,7 @@ _BODY = Section(BodyKeys)
 class Bodies(Rule):
     """Bodies by name."""
 
-    @property
-    def allowed(self) -> str:
-        """At least one body."""
-        return "must be a mapping with at least one body: name: {carrier, mass, along, above, inertia}"
+    _allowed = "must be a mapping with at least one body: name: {carrier, mass, along, above, inertia}"
 
     def check(self, value: Any) -> Any:
         """The mapping."""
@@ -208,10 +205,7 @@ PATHS: dict[str, type] = {"lines": LinesKeys, "spline": SplineKeys}
 class Start(Rule):
     """Where the redundant cylinder starts."""
 
-    @property
-    def allowed(self) -> str:
-        """A word or a length."""
-        return START
+    _allowed = START
 
     @property
     def kind(self) -> Kind:

@@ -35,11 +35,12 @@ class Rule:
     """What a value must be, in words; how it is read; and for quantities of what kind, to write them again."""
 
     __slots__ = ()
+    _allowed = "must be given"
 
     @property
     def allowed(self) -> str:
         """What a value must be."""
-        return "must be given"
+        return self._allowed
 
     @property
     def kind(self) -> Kind | None:

@@ -33,11 +33,7 @@ class Listing(Rule):
         bare: bool = False,
     ):
         self.size, self.item, self.least, self.most, self._order, self._bare = size, item, least, most, order, bare
-
-    @property
-    def allowed(self) -> str:
-        """A list of that size."""
-        return f"must be a list of {self.size}"
+        self._allowed = f"must be a list of {size}"
 
     @property
     def kind(self) -> Kind | None:
@@ -78,13 +74,8 @@ class Word(Rule):
     """A text out of a few."""
 
     def __init__(self, *choices: str, **others: str):
-        self.choices = choices
+        self.choices, self._allowed = choices, f"must be {', '.join(choices)}"
         self.others = others  # words of other people, and what they call so here
-
-    @property
-    def allowed(self) -> str:
-        """One of the words."""
-        return f"must be {', '.join(self.choices)}"
 
     def check(self, value: Any) -> str:
         """The word."""
@@ -102,10 +93,7 @@ class Word(Rule):
 class Switch(Rule):
     """True or false."""
 
-    @property
-    def allowed(self) -> str:
-        """One of the two."""
-        return "must be true or false"
+    _allowed = "must be true or false"
 
     def check(self, value: Any) -> bool:
         """The truth value."""
@@ -117,10 +105,7 @@ class Switch(Rule):
 class OneOrTwo(Rule):
     """One or two."""
 
-    @property
-    def allowed(self) -> str:
-        """One of the two."""
-        return "must be 1 or 2"
+    _allowed = "must be 1 or 2"
 
     def check(self, value: Any) -> int:
         """The number."""
@@ -136,10 +121,7 @@ class OneOrTwo(Rule):
 class Text(Rule):
     """A text of any length, in one line."""
 
-    @property
-    def allowed(self) -> str:
-        """A text."""
-        return "must be a text"
+    _allowed = "must be a text"
 
     def check(self, value: Any) -> str:
         """The text, its white space reduced."""
@@ -153,10 +135,7 @@ class Name(Rule):
 
     pattern = "[A-Za-z0-9][A-Za-z0-9_-]{0,63}"
 
-    @property
-    def allowed(self) -> str:
-        """What it is made of."""
-        return "must be up to 64 letters, digits, '-' and '_', the first a letter or digit"
+    _allowed = "must be up to 64 letters, digits, '-' and '_', the first a letter or digit"
 
     def check(self, value: Any) -> str:
         """The name."""
