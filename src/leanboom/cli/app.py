@@ -110,14 +110,14 @@ class _Listing(TyperCommand):
         from leanboom.simulation.registry import CONTROLLERS
 
         lists = {
-            "methods": METHODS.names()[1:],
-            "slow": [name for name in METHODS.own if METHODS.find(name).slow],
-            "controllers": CONTROLLERS.names(),
+            "{methods}": lambda: METHODS.names()[1:],
+            "{slow}": lambda: [name for name in METHODS.own if METHODS.find(name).slow],
+            "{controllers}": CONTROLLERS.names,
         }
         for option in self.params:
-            for name, items in lists.items():
-                if isinstance(option, TyperOption) and option.help:
-                    option.help = option.help.replace(f"{{{name}}}", ", ".join(items))
+            for hole, names in lists.items():  # what installed packages bring takes a while to find
+                if isinstance(option, TyperOption) and option.help and hole in option.help:
+                    option.help = option.help.replace(hole, ", ".join(names()))
         super().format_help(ctx, formatter)
 
 
