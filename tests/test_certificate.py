@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import slow_bounds
 from leanboom import InfeasibleError, InputError, LeanboomError, budget, certify, load_task
-from leanboom.certificate import certificate, lower_bounds, partition, upper_bound
+from leanboom.certificate import lower_bounds, partition, refinement, upper_bound
 from leanboom.cli.app import app
 from leanboom.components.pumps import EfficiencyMap, Pump
 from leanboom.model import motion
@@ -180,41 +180,43 @@ def test_a_bound_above_the_motion_is_not_certified(monkeypatch):
         certify(replace(load_task("forwarder-vertical"), start="middle"), "cp", step=0.5)
 
 
-def test_the_way_that_promises_most_comes_first_and_others_while_they_promise_more(monkeypatch):
-    gaps = {"own": iter([10.0, 1.0]), "guided": iter([6.0, 4.0, 3.0])}
-    tried = []
+def bounds_of(gaps, tried):
+    """Bounds on 100 J that leave these gaps, by kind of slopes and one after the other; what was asked for is noted."""
 
-    def bound(kept, start, clock, slopes, limit, coarse):
-        tried.append(slopes)
-        return SimpleNamespace(lower=100.0 - next(gaps[slopes]))
+    def bound(way):
+        tried.append(way)
+        found = next(gaps[way])
+        if found is None:
+            raise lower_bounds.OutOfTime
+        return SimpleNamespace(lower=100.0 - found)
 
-    monkeypatch.setattr(lower_bounds, "bound", bound)
-    ways = [certificate._Way(lambda: "own"), certificate._Way(lambda: "guided")]  # noqa: SLF001
-    levels = [certificate._tightest(None, 0.0, 100.0, 0.5, ways, quiet, np.inf).lower for _ in range(3)]  # noqa: SLF001
-    # Own left 10 % and promises 5 %, then 2.5 %: it is asked again when guided slopes leave 3 %.
-    assert tried == ["own", "guided", "guided", "guided", "own"]
+    return bound
+
+
+def test_slopes_expected_to_leave_least_come_first_and_others_while_they_may_leave_less():
+    tried, levels, expected = [], [], (0.0, 0.0)
+    bound = bounds_of((iter([10.0, 1.0]), iter([6.0, 4.0, 3.0])), tried)
+    for _ in range(3):
+        found, expected = refinement.tightest(bound, expected, 100.0, 0.5)
+        levels.append(found.lower)
+    # The first slopes left 10 % and may leave 5 %, then 2.5 %: they are tried again when the others leave 3 %.
+    assert tried == [0, 1, 1, 1, 0]
     assert levels == [94.0, 96.0, 99.0]
 
 
-def test_other_slopes_wait_while_cells_are_far_too_large(monkeypatch):
-    gaps = {"own": iter([30.0, 12.0]), "guided": iter([8.0])}
-    monkeypatch.setattr(lower_bounds, "bound", lambda *given: SimpleNamespace(lower=100.0 - next(gaps[given[3]])))
-    ways = [certificate._Way(lambda: "own"), certificate._Way(lambda: "guided")]  # noqa: SLF001
-    assert certificate._tightest(None, 0.0, 100.0, 0.5, ways, quiet, np.inf).lower == 70.0  # noqa: SLF001
-    assert [way.promise for way in ways] == [15.0, 15.0]
-    ways[1].promise = 1.0
-    assert certificate._tightest(None, 0.0, 100.0, 0.5, ways, quiet, np.inf).lower == 92.0  # noqa: SLF001
+def test_other_slopes_wait_while_cells_are_far_too_large():
+    bound = bounds_of((iter([30.0, 12.0]), iter([8.0])), [])
+    found, expected = refinement.tightest(bound, (0.0, 0.0), 100.0, 0.5)
+    assert (found.lower, expected) == (70.0, (15.0, 15.0))
+    found, expected = refinement.tightest(bound, (15.0, 1.0), 100.0, 0.5)
+    assert (found.lower, expected) == (92.0, (7.5, 4.0))
 
 
-def test_a_bound_found_in_time_counts_although_a_second_way_is_not(monkeypatch):
-    def bound(kept, start, clock, slopes, limit, coarse):
-        if slopes == "guided":
-            raise lower_bounds.OutOfTime
-        return SimpleNamespace(lower=90.0)
-
-    monkeypatch.setattr(lower_bounds, "bound", bound)
-    ways = [certificate._Way(lambda: "own"), certificate._Way(lambda: "guided")]  # noqa: SLF001
-    assert certificate._tightest(None, 0.0, 100.0, 0.5, ways, quiet, np.inf).lower == 90.0  # noqa: SLF001
+def test_a_bound_found_in_time_counts_although_one_with_other_slopes_is_not():
+    found, expected = refinement.tightest(bounds_of((iter([10.0]), iter([None])), []), (0.0, 0.0), 100.0, 0.5)
+    assert (found.lower, expected) == (90.0, (5.0, 0.0))
+    with pytest.raises(lower_bounds.OutOfTime):
+        refinement.tightest(bounds_of((iter([None]), iter([1.0])), []), (0.0, 0.0), 100.0, 0.5)
 
 
 def test_bound_rises_with_refinement():
@@ -223,7 +225,7 @@ def test_bound_rises_with_refinement():
     lower = [level.lower_bound_j for level in proof.levels]
     assert len(lower) > 2
     for first, (before, after) in zip((True, False, False, False), pairwise(proof.levels[1:]), strict=False):
-        rows_too = not first or before.gap_percent > certificate.HOPELESS
+        rows_too = not first or before.gap_percent > refinement.HOPELESS
         assert (after.positions, after.velocities) == ((2 if rows_too else 1) * before.positions, 2 * before.velocities)
     assert lower == sorted(lower)
     assert proof.lower_bound_j == lower[-1] <= proof.energy_j
@@ -236,10 +238,10 @@ def test_bound_rises_with_refinement():
 def test_a_bound_is_proven_however_short_the_time(pump, seconds, start):
     """A busy machine once used up the default minute before the first level ended: the table was empty, the bound 0."""
     proof = certify(replace(load_task("forwarder-vertical"), start=start), pump, step=0.1, seconds=seconds)
-    assert proof.reason == certificate.TIME_IS_OVER
+    assert proof.reason == refinement.TIME_IS_OVER
     assert proof.levels[0].positions <= proof.levels[-1].positions
     assert 0.0 < proof.lower_bound_j == proof.levels[-1].lower_bound_j <= proof.energy_j
-    assert certificate.EMPTY * proof.energy_j <= proof.lower_bound_j
+    assert refinement.EMPTY * proof.energy_j <= proof.lower_bound_j
     assert proof.more_time is not None
     assert proof.more_time.seconds > seconds
     assert proof.json()["certify_levels"][-1]["lower_bound_j"] == proof.lower_bound_j
@@ -271,16 +273,6 @@ def test_what_others_take_of_the_processors_is_not_spent(monkeypatch):
     assert budget.Budget(**given).over  # nobody waits longer than twice
 
 
-def proof_after(*levels: tuple[int, int, float]) -> certificate._Proof:  # noqa: SLF001
-    """Proof of 100 J with levels of so many rows, columns and so large gaps, 10 s spent on each."""
-    spent = budget.Budget(1.0, 1, 0.0, 0.0)
-    proof = certificate._Proof(None, "cp", None, SimpleNamespace(energy=100.0), 0.5, spent, quiet)  # noqa: SLF001
-    for rows, columns, gap in levels:
-        proof.levels.append(certificate.Level(rows, columns, rows * columns, 100.0 - gap, gap, 0.0, 0.0))
-    proof.lower, proof.rate, proof.begun, proof.under_way = 1.0, 0.1, 10.0, (400, 400)
-    return proof
-
-
 @pytest.mark.parametrize(
     ("levels", "gap"),
     [
@@ -294,7 +286,11 @@ def proof_after(*levels: tuple[int, int, float]) -> certificate._Proof:  # noqa:
 def test_more_time_is_extrapolated_from_the_levels_so_far(monkeypatch, levels, gap):
     monkeypatch.setattr(budget.time, "perf_counter", lambda: 24.0)
     monkeypatch.setattr(budget.time, "process_time", lambda: 12.0)
-    found = proof_after(*levels).outlook()
+    goal = refinement.Goal(None, "cp", None, SimpleNamespace(energy=100.0), 0.5)
+    course = refinement.Course(goal, budget.Budget(1.0, 1, 0.0, 0.0), quiet)
+    course.rate, course.begun, course.under_way = 0.1, 10.0, (400, 400)
+    done = [refinement.Level(rows, cells, rows * cells, 100.0 - left, left, 0.0, 0.0) for rows, cells, left in levels]
+    found = course.outlook(done)
     assert found.seconds == 50.0  # what was under way began after 10 s and has 400 cells of 0.1 s
     assert found.gap_percent == (None if gap is None else pytest.approx(gap))
 
@@ -310,19 +306,10 @@ def test_more_time_is_extrapolated_from_the_levels_so_far(monkeypatch, levels, g
         (1.0, 1e9, None),
     ],
 )
-def test_cells_are_as_small_as_time_and_memory_allow(monkeypatch, seconds, memory, times):
-    def size(problem, cost, beside, tried):
-        return SimpleNamespace(count=64000 // (tried[0] * tried[1]))
-
-    monkeypatch.setattr(partition, "size", size)
-    monkeypatch.setattr(partition, "memory_of", lambda problem, cut: 1.0 * cut.count)
-    monkeypatch.setattr(certificate, "_memory", lambda: memory)
-    monkeypatch.setattr(budget.time, "perf_counter", lambda: 1.0)
-    monkeypatch.setattr(budget.time, "process_time", lambda: 1.0)
-    proof = proof_after((10, 10, 40.0))
-    proof.best.motion, proof.rate = None, 1e2 / 64000
-    proof.budget = budget.Budget(seconds, 1, 0.5, 0.5)
-    assert proof.in_time() == times
+def test_cells_are_as_small_as_time_and_memory_allow(seconds, memory, times):
+    counts = {tried: 64000 // (tried[0] * tried[1]) for tried in ((1, 1), (8, 4), (4, 2))}
+    needed = {tried: (count, 1.0 * count) for tried, count in counts.items()}
+    assert refinement.finest_in_time(needed, 1e2 / 64000, seconds - 0.5, memory) == times
 
 
 def test_the_command_tells_what_more_time_would_bring():
@@ -335,7 +322,7 @@ def test_the_command_tells_what_more_time_would_bring():
 
 
 def test_cells_that_would_not_fit_into_the_memory_are_not_begun(monkeypatch):
-    monkeypatch.setattr(certificate, "_memory", lambda: 1e5)
+    monkeypatch.setattr(refinement, "room", lambda: 1e5)
     proof = certify(replace(load_task("forwarder-vertical"), start="middle"), "cp", step=0.25, seconds=60.0)
     assert proof.reason == "smaller cells would not fit into the memory"
     assert len(proof.levels) == 1

@@ -52,7 +52,7 @@ def test_slopes_that_are_no_numbers_are_level_ones(loader):
         assert lower_bounds.bound(kept, start, quiet, given(value)).lower == level
 
 
-def test_the_ridge_is_the_least_value_of_every_line(rng):
+def test_the_envelope_is_the_least_value_of_every_line(rng):
     values = rng.uniform(0.0, 10.0, (7, 5)).astype(np.float32)
     step, stage, setting = 0.3, np.zeros((1, layout.STAGE_COLUMNS)), np.zeros(layout.SETTINGS)
     for column, value in ((layout.C_LO, 1.0), (layout.DC, 0.1), (layout.W_LO, -0.4), (layout.DW, 0.2)):
@@ -60,7 +60,7 @@ def test_the_ridge_is_the_least_value_of_every_line(rng):
     setting[layout.STEP] = step
     line = np.linspace(1.0 - 0.5 * step * 0.4, 1.6 + 0.5 * step * 0.4, 30)
     least, next_w = np.empty(30), np.empty(30)
-    value_slopes.ridge(values, stage, setting, 0, line, least, next_w)
+    value_slopes.min_over_next_velocity(values, stage, setting, 0, value_slopes.Envelope(line, least, next_w))
     at = RegularGridInterpolator((1.0 + 0.1 * np.arange(7), -0.4 + 0.2 * np.arange(5)), values.astype(float))
     for s, value, w in zip(line, least, next_w, strict=True):
         tried = -0.4 + 0.2 * np.arange(5)
@@ -71,10 +71,10 @@ def test_the_ridge_is_the_least_value_of_every_line(rng):
         assert w == pytest.approx(tried[inside][twin.argmin()])
 
 
-def test_a_ridge_is_found_once_for_cells_of_any_size(loader, monkeypatch):
+def test_an_envelope_is_found_once_for_cells_of_any_size(loader, monkeypatch):
     _, kept, known = loader
-    fresh, k, plain, found = replace(known), 12, value_slopes.ridge, []
-    monkeypatch.setattr(value_slopes, "ridge", lambda *given: (found.append(given[3]), plain(*given)))
+    fresh, k, plain, found = replace(known), 12, value_slopes.min_over_next_velocity, []
+    monkeypatch.setattr(value_slopes, "min_over_next_velocity", lambda *given: (found.append(given[3]), plain(*given)))
     first = fresh.slopes(kept, k)
     assert found == [k + 1, k + 1]  # the tube's and the whole policy's
     assert np.array_equal(fresh.slopes(kept, k), first)

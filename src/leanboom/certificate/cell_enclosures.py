@@ -5,10 +5,15 @@ row with a bounded error (`taylor_model`); from them follow bounds over a cell. 
 where a cylinder begins to count as driven (LS) the nearest edge of the row is moved there: power jumps at that
 velocity, and a cell with the jump inside would have to take the cheaper side for all of it.
 
+Within the box of a transition everything is affine in (t, x, y) up to a bounded error, so the least value is attained
+at a corner. What is not affine enters by a multiple of another form, for which every multiplier gives a valid bound.
+
 Kernels: arrays in, caller-owned arrays out, no interpreter lock. `docs/certificate.md` derives them.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,6 +43,11 @@ from leanboom.problem.layout import (
     VISCOUS,
 )
 
+# Options of kernels that kernels alone call and that make no arrays. Without `_nrt` nobody counts who holds the arrays
+# of a tuple, which would take as long as the work itself; without wrappers there is less to compile.
+INNER = {"error_model": "numpy", "nogil": True, "_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+FORM = 4  # entries of a form in an array: constant, slopes by t, x, y
+
 # Entries of a lattice, one stage's cells in velocity: first edge, height, first column in the arrays of that stage.
 L_W, L_DW, L_J = range(3)
 LATTICE = 3
@@ -52,7 +62,103 @@ SOLVING = 3  # steps of the fixed point of a threshold
 CLEARANCE = 1e-9  # [m/s], beyond a threshold, for the rounding of what is compared with it
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+class Form(NamedTuple):
+    """An affine form of (t, x, y)."""
+
+    constant: float
+    t: float
+    x: float
+    y: float
+
+
+class Box(NamedTuple):
+    """Bounds of (t, x, y)."""
+
+    t_lo: float
+    t_hi: float
+    x_lo: float
+    x_hi: float
+    y_lo: float
+    y_hi: float
+
+
+class Stage(NamedTuple):
+    """A stage's cells, the next stage's, and the crane's motion over them: what kernels take of `partition.Cells`."""
+
+    model: np.ndarray  # enclosures of the coefficients over rows, (rows, moving, COEFFICIENTS, 4)
+    rows: np.ndarray  # edges of the rows [m], (rows + 1,)
+    edges: np.ndarray  # of the cells in velocity [m/s], (rows, columns + 1)
+    columns: np.ndarray  # admissible velocities of each row [m/s], (rows, 2)
+    lattice_ahead: np.ndarray  # (LATTICE,)
+    rows_ahead: np.ndarray
+    edges_ahead: np.ndarray
+    columns_ahead: np.ndarray
+    fixed: np.ndarray  # pump flow [m^3/s] and counted pressure [Pa] of the prescribed cylinders, (2,)
+    cylinder: np.ndarray  # (moving, layout.CYLINDER_COLUMNS)
+    setting: np.ndarray  # (layout.SETTINGS,)
+
+
+@njit(cache=True, **INNER)
+def lowest(form, box):
+    """Least value of an affine form over a box."""
+    total = form.constant + form.t * (box.t_lo if form.t > 0.0 else box.t_hi)
+    total += form.x * (box.x_lo if form.x > 0.0 else box.x_hi)
+    return total + form.y * (box.y_lo if form.y > 0.0 else box.y_hi)
+
+
+@njit(cache=True, **INNER)
+def plus(form, multiplier, direction):
+    """A form plus a multiple of another."""
+    return Form(
+        form.constant + multiplier * direction.constant,
+        form.t + multiplier * direction.t,
+        form.x + multiplier * direction.x,
+        form.y + multiplier * direction.y,
+    )
+
+
+@njit(cache=True, **INNER)
+def read(forms, q):
+    """Row `q` of an array of forms."""
+    return Form(forms[q, 0], forms[q, 1], forms[q, 2], forms[q, 3])
+
+
+@njit(cache=True, **INNER)
+def levelling(slope, rise, low, high):
+    """Multiplier within [low, high] that makes a slope vanish, or nearly; 0 where none changes it."""
+    return min(max(-slope / rise, low), high) if rise != 0.0 else 0.0
+
+
+@njit(cache=True, **INNER)
+def ascend(form, direction, low, high, box):
+    """Multiplier within [low, high] of `direction` that raises the least value of a form over a box most.
+
+    The least value is concave and piecewise linear in the multiplier: its corners are where a slope vanishes.
+    """
+    best, chosen = lowest(form, box), 0.0
+    for multiplier in (
+        low,
+        levelling(form.t, direction.t, low, high),
+        levelling(form.x, direction.x, low, high),
+        levelling(form.y, direction.y, low, high),
+        high,
+    ):
+        if multiplier == 0.0 or abs(multiplier) == np.inf:
+            continue
+        total = lowest(plus(form, multiplier, direction), box)
+        if total > best:
+            best, chosen = total, multiplier
+    return chosen
+
+
+@njit(cache=True, **INNER)
+def raised(form, direction, low, high, box):
+    """A form plus the multiple of another that raises its least value most."""
+    chosen = ascend(form, direction, low, high, box)
+    return plus(form, chosen, direction) if chosen != 0.0 else form
+
+
+@njit(cache=True, **INNER)
 def expand(model, i, coefficients):
     """Coefficients over position cell i as a line in t: value, slope, error. The bend is halved, p2 t^2 <= |p2|."""
     for m in range(coefficients.shape[0]):
@@ -63,7 +169,7 @@ def expand(model, i, coefficients):
             coefficients[m, q, 2] = model[i, m, q, 3] + abs(bend)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, **INNER)
 def column_velocities(coefficients, cylinder, low, high):
     """Velocities of the redundant cylinder that keep every velocity limit somewhere in a position cell."""
     for m in range(coefficients.shape[0]):
@@ -80,7 +186,7 @@ def column_velocities(coefficients, cylinder, low, high):
     return low, high
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, **INNER)
 def cell_accelerations(coefficients, cylinder, w, half):
     """Bounds of the accelerations of the redundant cylinder that some state of a cell admits [m/s^2]."""
     lo, hi = -np.inf, np.inf
@@ -105,7 +211,7 @@ def cell_accelerations(coefficients, cylinder, w, half):
     return lo, hi
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, **INNER)
 def cell_motion(coefficients, cylinder, setting, w, half, motion):
     """Velocities, loads and admissible accelerations over a cell; `motion` is filled row by row.
 
@@ -168,7 +274,7 @@ def velocity_columns(model, cylinder, columns):
         columns[p, 0], columns[p, 1] = column_velocities(coefficients, cylinder, columns[p, 0], columns[p, 1])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, **INNER)
 def surely_beyond(a0, a1, limit, room):
     """Velocity of the redundant cylinder from which on a cylinder is beyond a limit all over a row of positions.
 

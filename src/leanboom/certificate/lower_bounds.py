@@ -15,7 +15,7 @@ import numpy as np
 
 from leanboom import resources
 from leanboom.certificate import bellman_bounds, cell_enclosures, position_rows, viability
-from leanboom.certificate.cell_enclosures import L_J, LATTICE
+from leanboom.certificate.cell_enclosures import L_J, LATTICE, Stage
 from leanboom.certificate.partition import AT_REST, COARSE, Cells, bytes_of, made_of, memory_of, size, whole
 from leanboom.model.motion import Motion
 from leanboom.problem import layout
@@ -117,7 +117,7 @@ def _rise(cells: Cells, k: int, planes: np.ndarray) -> np.ndarray:
 def _differences(pool: _Pool, k: int, ahead: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Bounds at the middles of a stage's cells [J], (rows, columns), and slopes by them, (rows, columns, 2)."""
     cells, active = pool.cells, pool.cells.active[k]
-    middle = pool.run(bellman_bounds.MIDDLE, k, active, np.zeros((*active.shape, 4)), ahead)
+    middle = pool.backward(k, active, np.zeros((*active.shape, 4)), ahead, at_middle=True)
     along = slopes(middle, 0, position_rows.middles(cells.rows[k])[:, None]), slopes(middle, 1, cells.middles(k))
     return middle, np.stack(along, axis=-1)
 
@@ -127,11 +127,11 @@ def _planes(pool: _Pool, k: int, ahead: np.ndarray) -> np.ndarray:
     cells, active = pool.cells, pool.cells.active[k]
     here = np.zeros((*active.shape, 4))
     middle, here[..., 1:3] = _differences(pool, k, ahead)
-    level = pool.run(bellman_bounds.PLANE, k, active, here, ahead)
+    level = pool.backward(k, active, here, ahead)
     with np.errstate(invalid="ignore"):
         bent = np.isfinite(level) & ~(middle - level <= BENT * _rise(cells, k, here))
     if bent.any():
-        flat = pool.run(bellman_bounds.PLANE, k, np.where(bent, 0.0, np.inf), np.zeros_like(here), ahead)
+        flat = pool.backward(k, np.where(bent, 0.0, np.inf), np.zeros_like(here), ahead)
         here[..., 3] = np.where(bent, np.maximum(flat, 0.0), 0.0)
         better = bent & (flat > level)
         here[better, 1:3] = 0.0
@@ -146,7 +146,7 @@ def _guided(pool: _Pool, k: int, ahead: np.ndarray, given: np.ndarray) -> np.nda
     here = np.zeros((*active.shape, 4))
     here[..., 1:3] = np.where(np.isfinite(given), given, 0.0)  # nan would pass for a state without motions
     floors = np.full(active.shape, np.inf)
-    here[..., 0] = pool.run(bellman_bounds.FLOORED, k, active, here, ahead, floors)
+    here[..., 0] = pool.backward(k, active, here, ahead, floors=floors)
     here[..., 3] = np.where(np.isfinite(here[..., 0]), np.maximum(floors, 0.0), 0.0)
     return here
 
@@ -220,11 +220,7 @@ def reach(found: Bounds, limit: float, check: Callable[[float], None]) -> tuple[
     with _Pool(cells) as pool:
         for k in range(cells.problem.stages - 1):
             check((k + 1) / cells.problem.stages)
-            parts = [np.full(cells.active[k + 1].shape, np.inf) for _ in range(pool.workers)]
-            pool.share(
-                bellman_bounds.FORWARD, k, room, excess[-1], found.planes[k], found.planes[k + 1], parts, NO_FLOORS
-            )
-            excess.append(np.minimum.reduce(parts))
+            excess.append(pool.forward(k, room, excess[-1], found.planes[k], found.planes[k + 1]))
     return tuple(excess)
 
 
@@ -307,14 +303,14 @@ def prepare() -> None:
     model, one = np.zeros((1, 1, layout.COEFFICIENTS, 4)), np.zeros((1, 1))
     columns, lattice, rows = np.zeros((1, 2)), np.ones(LATTICE), np.arange(2.0)
     cylinder, setting = np.ones((1, layout.CYLINDER_COLUMNS)), np.ones(layout.SETTINGS)
+    planes = np.zeros((1, 1, 4))
     cell_enclosures.velocity_columns(model, cylinder, columns)
     cell_enclosures.place_edges(model, setting, lattice, np.zeros((1, 2)))
-    cell_enclosures.hand_down(rows, columns, lattice, np.zeros((1, 1, 4)), one, rows, columns, lattice, one)
+    cell_enclosures.hand_down(rows, columns, lattice, planes, one, rows, columns, lattice, one)
     viability.find(1, (rows, rows), (model,), [columns], cylinder, 1.0)
-    bellman_bounds.cells(
-        bellman_bounds.PLANE, 0, 1, model, lattice, rows, rows, columns, columns, columns, columns, np.zeros(2),
-        cylinder, setting, 0.0, one, np.zeros((1, 1, 4)), np.zeros((1, 1, 4)), one, NO_FLOORS,
-    )  # fmt: skip
+    stage = Stage(model, rows, columns, columns, lattice, rows, columns, columns, np.zeros(2), cylinder, setting)
+    bellman_bounds.backward(stage, 0, 1, False, one, planes, planes, one, NO_FLOORS)
+    bellman_bounds.forward(stage, 0, 1, 0.0, one, planes, planes, one)
 
 
 class _Pool:
@@ -334,28 +330,36 @@ class _Pool:
         """Slopes that a guide gives for a stage, made while others are bounded; None without guide or stage."""
         return None if guide is None or k < 0 else self.pool.submit(guide, self.cells, k)
 
-    def run(self, kind: int, k: int, active, planes, ahead, floors: np.ndarray = NO_FLOORS) -> np.ndarray:
-        """Values of the cells of stage k by a backward pass of a kind, inf where there are none."""
-        found = np.full(active.shape, np.inf)
-        self.share(kind, k, 0.0, active, planes, ahead, [found], floors)
-        return found
-
-    def share(  # noqa: PLR0913
-        self, kind: int, k: int, limit: float, active, planes, ahead, found: list[np.ndarray], floors: np.ndarray
-    ) -> None:
-        """One pass over stage k; forward passes write into one array a thread, others into one for all."""
-        cells = self.cells
-        parts = len(found) if kind == bellman_bounds.FORWARD else min(SHARES * self.workers, active.shape[0])
-        work = np.cumsum(np.isfinite(active).sum(axis=1))
-        edges = [0, *(int(np.searchsorted(work, work[-1] * q / parts)) for q in range(1, parts)), active.shape[0]]
+    def backward(
+        self, k: int, active: np.ndarray, planes: np.ndarray, ahead: np.ndarray, at_middle: bool = False,
+        floors: np.ndarray = NO_FLOORS,
+    ) -> np.ndarray:  # fmt: skip
+        """Values of the cells of stage k, inf where there are none; arguments as in `bellman_bounds.backward`."""
+        stage, found = self.cells.stage(k), np.full(active.shape, np.inf)
+        parts = _shares(active, min(SHARES * self.workers, active.shape[0]))
         jobs = [
-            self.pool.submit(
-                bellman_bounds.cells, kind, first, last, cells.model[k], cells.lattice[k + 1], cells.rows[k],
-                cells.rows[k + 1], cells.edges[k], cells.edges[k + 1], cells.columns[k], cells.columns[k + 1],
-                cells.fixed[k], cells.cylinder, cells.setting, limit, active, planes, ahead,
-                found[part % len(found)], floors,
-            )
-            for part, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True))
-        ]  # fmt: skip
+            self.pool.submit(bellman_bounds.backward, stage, *part, at_middle, active, planes, ahead, found, floors)
+            for part in parts
+        ]
         for job in jobs:
             job.result()
+        return found
+
+    def forward(self, k: int, limit: float, active: np.ndarray, planes: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+        """Excess of the cells of stage k + 1 [J]; arguments as in `bellman_bounds.forward`."""
+        stage, jobs = self.cells.stage(k), []
+        for part in _shares(active, self.workers):
+            found = np.full(ahead.shape[:2], np.inf)  # one a thread: it is lowered in place
+            jobs.append(
+                (found, self.pool.submit(bellman_bounds.forward, stage, *part, limit, active, planes, ahead, found))
+            )
+        for _, job in jobs:
+            job.result()
+        return np.minimum.reduce([found for found, _ in jobs])
+
+
+def _shares(active: np.ndarray, parts: int) -> list[tuple[int, int]]:
+    """First and last row of parts of about as many finite cells."""
+    work = np.cumsum(np.isfinite(active).sum(axis=1))
+    edges = [0, *(int(np.searchsorted(work, work[-1] * q / parts)) for q in range(1, parts)), active.shape[0]]
+    return list(zip(edges[:-1], edges[1:], strict=True))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leanboom.certificate import cell_enclosures, position_rows, viability
-from leanboom.certificate.cell_enclosures import L_DW, L_J, L_W, LATTICE
+from leanboom.certificate.cell_enclosures import L_DW, L_J, L_W, LATTICE, Stage
 from leanboom.certificate.viability import Viable
 from leanboom.model.motion import Motion
 from leanboom.problem import layout, stage_arrays
@@ -44,6 +44,13 @@ class Cells:
     def count(self) -> int:
         """Number of cells kept."""
         return sum(int(np.isfinite(a).sum()) for a in self.active)
+
+    def stage(self, k: int) -> Stage:
+        """What kernels take of a stage and the next one."""
+        return Stage(
+            self.model[k], self.rows[k], self.edges[k], self.columns[k], self.lattice[k + 1], self.rows[k + 1],
+            self.edges[k + 1], self.columns[k + 1], self.fixed[k], self.cylinder, self.setting,
+        )  # fmt: skip
 
     def middles(self, k: int) -> np.ndarray:
         """Velocities in the middle of a stage's cells [m/s], (rows, columns)."""
@@ -98,7 +105,7 @@ def whole(problem: Problem, cost: str, beside: Motion | None = None, times: tupl
     return made_of(problem, cost, cut.positions, cut.velocities, cut.rows, cut.velocities, corner, cut.bins)
 
 
-def made_of(  # noqa: PLR0913
+def made_of(
     problem: Problem, cost: str, positions: int, velocities: np.ndarray, rows: list[np.ndarray], counts: np.ndarray,
     corner: np.ndarray, viable: Viable | int,
 ) -> Cells:  # fmt: skip

@@ -13,19 +13,26 @@ slopes come from here; whatever they are, the bounds stay proven.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
-from leanboom.certificate.bellman_bounds import FORM, cell_flow, supply_forms
+from leanboom.certificate.bellman_bounds import cell_flow, supply_forms
 from leanboom.certificate.cell_enclosures import (
+    FORM,
+    INNER,
+    LATTICE,
     MOTION,
     ON_LIMIT,
     V_SIDE,
     V_T,
     V_X,
+    Box,
+    Stage,
     cell_accelerations,
     cell_motion,
     expand,
+    read,
 )
 from leanboom.certificate.partition import Cells
 from leanboom.certificate.viability import Viable
@@ -57,13 +64,12 @@ MARGIN = 3.0  # spacings of a policy's grid around a cell in which no state may 
 THIN = 1e-6  # [m/s], least half height of a cell for differences over it
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Ridge:
-    """What `ridge` finds at a stage of a policy; the same for cells of any size."""
+class Envelope(NamedTuple):
+    """The least value ahead over all next velocities, along lines; the same for cells of any size."""
 
-    line: np.ndarray  # [m]
-    least: np.ndarray  # [J]
-    next_w: np.ndarray  # [m/s]
+    line: np.ndarray  # c + step w / 2 [m], equally spaced
+    least: np.ndarray  # least value there [J]
+    next_w: np.ndarray  # next velocity that has it [m/s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +78,7 @@ class Guide:
 
     policies: tuple[Policy, ...]  # ever finer and narrower; the first knows every feasible state
     viable: Viable
-    ridges: dict[tuple[int, int], Ridge] = field(default_factory=dict, init=False)  # as asked for: policy, stage
+    envelopes: dict[tuple[int, int], Envelope] = field(default_factory=dict, init=False)  # as asked for: policy, stage
 
     def slopes(self, cells: Cells, k: int) -> np.ndarray:
         """Slopes for the planes of a stage's cells, from the finest policy that knows a cell.
@@ -86,34 +92,27 @@ class Guide:
         Returns:
             Along position [J/m] and velocity [J s/m], (rows, columns, 2).
         """
-        found = np.zeros((*cells.active[k].shape, 2))
+        found, stage = np.zeros((*cells.active[k].shape, 2)), cells.stage(k)
         if k < cells.problem.stages - 1:
             left = np.isfinite(cells.active[k])
             for i in range(len(self.policies) - 1, -1, -1):
                 policy, known = self.policies[i], _known(self.policies[i], cells, k)
                 row, column = self._nearest(policy, cells, k, known)
-                ahead = self._ridge(i, k + 1, cells.setting)
-                follow(
-                    cells.model[k], cells.rows[k], cells.edges[k], cells.cylinder, policy.values[k + 1],
-                    policy.tables.stage, cells.setting, k + 1, ahead.line, ahead.least, ahead.next_w,
-                    np.where(known & left, 0.0, np.inf), row, column, found,
-                )  # fmt: skip
+                ahead, some = self._envelope(i, k + 1, cells.setting), np.where(known & left, 0.0, np.inf)
+                follow(stage, policy.values[k + 1], policy.tables.stage, k + 1, ahead, some, row, column, found)
                 left &= ~known
-        charge(
-            cells.model[k], cells.rows[k], cells.edges[k], cells.cylinder, cells.setting, cells.fixed[k],
-            cells.active[k], found,
-        )  # fmt: skip
+        charge(stage, cells.active[k], found)
         return found
 
-    def _ridge(self, i: int, k: int, setting: np.ndarray) -> Ridge:
-        """The ridge of stage k of a policy."""
-        if (i, k) not in self.ridges:
+    def _envelope(self, i: int, k: int, setting: np.ndarray) -> Envelope:
+        """The envelope of a policy's values at stage k."""
+        if (i, k) not in self.envelopes:
             policy = self.policies[i]
             line = _lines(policy.grid, setting[STEP], k)
-            found = Ridge(line, np.empty(line.size), np.empty(line.size))
-            ridge(policy.values[k], policy.tables.stage, setting, k, line, found.least, found.next_w)
-            self.ridges[i, k] = found
-        return self.ridges[i, k]
+            found = Envelope(line, np.empty(line.size), np.empty(line.size))
+            min_over_next_velocity(policy.values[k], policy.tables.stage, setting, k, found)
+            self.envelopes[i, k] = found
+        return self.envelopes[i, k]
 
     def _nearest(self, policy: Policy, cells: Cells, k: int, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """For every cell the nearest known one that keeps the margin: rows, (rows,), and columns, (rows, columns)."""
@@ -165,19 +164,18 @@ def memory(problem: Problem) -> float:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def ridge(values, stage, setting, k, line, least, next_w):
-    """Least values ahead whatever the next velocity: along c' = s + step w' / 2 for every s, where s = c + step w / 2.
+def min_over_next_velocity(values, grid, setting, k, envelope):
+    """Lower envelope of the values ahead along c' = s + step w' / 2, for every s = c + step w / 2.
 
     Args:
         values: Cost to go of stage k, the next one [J], (positions, velocities).
-        stage: The policy's stages, (stages + 1, STAGE_COLUMNS).
+        grid: The policy's stages, (stages + 1, STAGE_COLUMNS).
         setting: Scalars, (SETTINGS,), without penalties.
         k: The next stage.
-        line: Values of s [m], equally spaced, each leading to some node's position, (any number,).
-        least: Out: least value [J].
-        next_w: Out: next velocity there [m/s].
+        envelope: Its lines, each leading to some node's position; `least` and `next_w` are filled.
     """
-    ahead = layer(values, stage, setting, k)
+    line, least, next_w = envelope
+    ahead = layer(values, grid, setting, k)
     end = ahead.c_lo + (values.shape[0] - 1) * ahead.dc
     for q in range(line.size):
         least[q], next_w[q] = np.inf, 0.0
@@ -190,9 +188,10 @@ def ridge(values, stage, setting, k, line, least, next_w):
                     least[q], next_w[q] = value, w
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def least_ahead(ahead, step, line, least, next_w, c, w, lo, hi):
-    """Least value ahead of a state whose acceleration is between lo and hi, on the ridge where it is in reach."""
+@njit(cache=True, **INNER)
+def least_ahead(ahead, step, envelope, c, w, lo, hi):
+    """Least value ahead of a state whose acceleration is between lo and hi: the envelope where it is in reach."""
+    line, least, next_w = envelope
     s = c + 0.5 * step * w
     x = within((s - line[0]) / (line[1] - line[0]), line.size - 1.0)
     q = min(int(x), line.size - 2)
@@ -205,17 +204,19 @@ def least_ahead(ahead, step, line, least, next_w, c, w, lo, hi):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def follow(model, rows, edges, cylinder, values, stage, setting, k, line, least, next_w, active, row, column, slope):
+def follow(stage, values, grid, k, envelope, active, row, column, slope):
     """Slopes over a stage's cells of what follows after the stage.
 
     Args:
-        model, rows, edges, cylinder, active: As in `bellman_bounds.cells`.
-        values, stage, setting, k, line, least, next_w: As in `ridge`.
+        stage: A `cell_enclosures.Stage`.
+        values, grid, k, envelope: As in `min_over_next_velocity`.
+        active: Finite where a cell is looked at, (rows, columns).
         row, column: Cell of the stage where the slopes of a cell are taken, (rows,) and (rows, columns).
         slope: Out: along position [J/m] and velocity [J s/m], (rows, columns, 2).
     """
+    model, rows, edges, cylinder = stage.model, stage.rows, stage.edges, stage.cylinder
     coefficients = np.empty((model.shape[1], COEFFICIENTS, 3))
-    step, ahead = setting[STEP], layer(values, stage, setting, k)
+    step, ahead = stage.setting[STEP], layer(values, grid, stage.setting, k)
     for p in range(slope.shape[0]):
         expand(model, row[p], coefficients)
         c, half_c = 0.5 * (rows[row[p] + 1] + rows[row[p]]), 0.5 * (rows[row[p] + 1] - rows[row[p]])
@@ -225,28 +226,30 @@ def follow(model, rows, edges, cylinder, values, stage, setting, k, line, least,
             slow, fast = edges[row[p], column[p, r]], edges[row[p], column[p, r] + 1]
             w, half = 0.5 * (fast + slow), max(0.5 * (fast - slow), THIN)
             lo, hi = cell_accelerations(coefficients, cylinder, w, 0.0)
-            rise = least_ahead(ahead, step, line, least, next_w, c + half_c, w, lo, hi)
-            rise -= least_ahead(ahead, step, line, least, next_w, c - half_c, w, lo, hi)
+            rise = least_ahead(ahead, step, envelope, c + half_c, w, lo, hi)
+            rise -= least_ahead(ahead, step, envelope, c - half_c, w, lo, hi)
             slope[p, r, 0] = 0.5 * rise / half_c
-            rise = least_ahead(ahead, step, line, least, next_w, c, w + half, lo, hi)
-            rise -= least_ahead(ahead, step, line, least, next_w, c, w - half, lo, hi)
+            rise = least_ahead(ahead, step, envelope, c, w + half, lo, hi)
+            rise -= least_ahead(ahead, step, envelope, c, w - half, lo, hi)
             slope[p, r, 1] = 0.5 * rise / half
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def charge(model, rows, edges, cylinder, setting, fixed, active, slope):
+def charge(stage, active, slope):
     """Add the slopes of the stage's own cost over its cells to those of what follows.
 
     The flow of a cylinder that turns round within the cell has a kink. Of its slopes there the one is taken with
     which a motion gains nothing by leaving the kink: slope_w + step / 2 slope_c = 0, as far as it has it.
 
     Args:
-        model, rows, edges, cylinder, setting, fixed, active: As in `bellman_bounds.cells`.
+        stage: A `cell_enclosures.Stage`.
+        active: Finite where a cell is looked at, (rows, columns).
         slope: Changed in place: along position [J/m] and velocity [J s/m], (rows, columns, 2).
     """
-    n = model.shape[1]
+    model, rows, edges, cylinder, setting = stage.model, stage.rows, stage.edges, stage.cylinder, stage.setting
+    fixed, n = stage.fixed, model.shape[1]
     coefficients, motion, sigma = np.empty((n, COEFFICIENTS, 3)), np.zeros((n, MOTION)), np.zeros(n)
-    forms, middle = np.zeros((n + 1, FORM)), np.zeros((2, 3))
+    forms, middle = np.zeros((n + 1, FORM)), Box(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     half_step, rate = 0.5 * setting[STEP], setting[STEP] / setting[EFFICIENCY]
     for p in range(slope.shape[0]):
         expand(model, p, coefficients)
@@ -264,7 +267,7 @@ def charge(model, rows, edges, cylinder, setting, fixed, active, slope):
             for q in range(supply_forms(motion, setting, fixed[1], u, u, u, middle, forms)):
                 if forms[q, 0] > forms[best, 0]:
                     best = q
-            supply, supply_t, supply_x, supply_y = forms[best]
+            supply, supply_t, supply_x, supply_y = read(forms, best)
             # Without what supply owes to accelerating, which the stage before owes as much to arriving.
             along_c = slope[p, r, 0] + rate * (flow * supply_t + flow_t * supply) / half_c
             along_w = slope[p, r, 1] + rate * (flow * (supply_x + supply_y) + flow_x * supply)
@@ -280,13 +283,13 @@ def charge(model, rows, edges, cylinder, setting, fixed, active, slope):
 
 def prepare() -> None:
     """Load the compiled kernels, compiling them on the very first run."""
-    model, one, line, none = np.zeros((1, 1, COEFFICIENTS, 4)), np.zeros((1, 1)), np.arange(2.0), np.zeros((1, 1), int)
-    values, edges, slope = np.zeros((2, 2), dtype=np.float32), np.zeros((1, 2)), np.zeros((1, 1, 2))
-    cylinder, setting, rows = np.ones((1, CYLINDER_COLUMNS)), np.ones(SETTINGS), np.arange(2.0)
-    stage = np.ones((1, STAGE_COLUMNS))
-    ridge(values, stage, setting, 0, line, np.zeros(2), np.zeros(2))
-    follow(
-        model, rows, edges, cylinder, values, stage, setting, 0, line, np.zeros(2), np.zeros(2), one, none[0], none,
-        slope,
+    one, none, edges, rows = np.zeros((1, 1)), np.zeros((1, 1), int), np.zeros((1, 2)), np.arange(2.0)
+    stage = Stage(
+        np.zeros((1, 1, COEFFICIENTS, 4)), rows, edges, edges, np.ones(LATTICE), rows, edges, edges, np.zeros(2),
+        np.ones((1, CYLINDER_COLUMNS)), np.ones(SETTINGS),
     )  # fmt: skip
-    charge(model, rows, edges, cylinder, setting, np.zeros(2), one, slope)
+    values, grid, slope = np.zeros((2, 2), dtype=np.float32), np.ones((1, STAGE_COLUMNS)), np.zeros((1, 1, 2))
+    envelope = Envelope(rows, np.zeros(2), np.zeros(2))
+    min_over_next_velocity(values, grid, stage.setting, 0, envelope)
+    follow(stage, values, grid, 0, envelope, one, none[0], none, slope)
+    charge(stage, one, slope)

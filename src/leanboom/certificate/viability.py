@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leanboom.certificate import cell_enclosures
-from leanboom.certificate.cell_enclosures import ON_LIMIT
+from leanboom.certificate.cell_enclosures import INNER, ON_LIMIT
 from leanboom.compiling import njit
 from leanboom.problem.layout import COEFFICIENTS
 
@@ -40,7 +40,7 @@ class Viable:
         return self.low[k, highest], self.high[k, lowest]
 
 
-def find(  # noqa: PLR0913
+def find(
     bins: int, rows: tuple[np.ndarray, ...], model: tuple[np.ndarray, ...], columns: list[np.ndarray],
     cylinder: np.ndarray, step: float,
 ) -> Viable:  # fmt: skip
@@ -64,7 +64,7 @@ def find(  # noqa: PLR0913
     return Viable(low, high)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, **INNER)
 def least_at(low, first, width, c):
     """Least viable velocity at position c of bins of `width` from `first` on; inf below them."""
     if c < first - ON_LIMIT:
@@ -72,7 +72,7 @@ def least_at(low, first, width, c):
     return low[int(min(max((c - first + ON_LIMIT) / width, 0.0), low.size - 1.0))]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, **INNER)
 def least(slowest, fastest, push, c, step, ahead, first, width):
     """Least velocity from c that the hardest push up takes to a viable state; inf where there is none.
 
