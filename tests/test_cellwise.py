@@ -72,17 +72,21 @@ def test_rows_are_narrower_near_a_motion_and_fill_the_feasible_extensions(proble
         width = (problem.upper[k] - problem.lower[k]) / kept.positions
         middle = 0.5 * (rows[1:] + rows[:-1])
         off, from_end = np.abs(middle - beside.position[k]), np.minimum(middle - rows[0], rows[-1] - middle)
-        at_end = min(beside.position[k] - problem.lower[k], problem.upper[k] - beside.position[k]) < position_rows.END
+        at_end = (
+            min(beside.position[k] - problem.lower[k], problem.upper[k] - beside.position[k]) < position_rows.NEAR_END
+        )
         seen.add(bool(at_end))
-        near, beyond = off < position_rows.NEAR - width, off > position_rows.NEAR + width
-        narrowest = near & at_end & (from_end < position_rows.END - width)
+        near, beyond = off < position_rows.NEAR_MOTION - width, off > position_rows.NEAR_MOTION + width
+        narrowest = near & at_end & (from_end < position_rows.NEAR_END - width)
         assert np.allclose(np.diff(rows)[narrowest], width / position_rows.NARROWEST)
-        assert np.allclose(np.diff(rows)[near & (not at_end or from_end > position_rows.END + width)], width / narrower)
+        assert np.allclose(
+            np.diff(rows)[near & (not at_end or from_end > position_rows.NEAR_END + width)], width / narrower
+        )
         assert np.allclose(np.diff(rows)[beyond], width)
         if k < problem.stages:
             assert kept.model[k].shape[0] == kept.active[k].shape[0] == rows.size - 1
             assert kept.active[k].shape[1] == kept.velocities[k] == ordinary[k] * (lower if at_end else 1)
-    assert (above < position_rows.END) in seen
+    assert (above < position_rows.NEAR_END) in seen
 
 
 def chosen(kept: partition.Cells, rng: np.random.Generator, columns) -> tuple[np.ndarray, ...]:

@@ -94,9 +94,9 @@ def given_values(known, k, values):
 
 def nearest(known, kept, k):
     """The cells where the slopes of a stage's cells are taken: the whole policy knows them all."""
-    mask = value_slopes._known(known.policies[0], kept, k)  # noqa: SLF001
+    mask = value_slopes.known_cells(known.policies[0], kept, k)
     assert mask.all()
-    return known._nearest(known.policies[0], kept, k, mask)  # noqa: SLF001
+    return known.nearest_known(known.policies[0], kept, k, mask)
 
 
 @pytest.mark.parametrize("pump", ["cp", "ls"])
@@ -150,11 +150,11 @@ def test_riding_on_a_kink_of_flow_is_exact(loader):
     assert exact >= turning // 2
 
 
-def test_beside_lost_states_the_nearest_cells_with_a_margin_are_taken(loader):
+def test_beside_states_that_are_not_viable_the_nearest_cells_with_a_margin_are_taken(loader):
     problem, kept, known = loader
     k = 10
     row, column = nearest(known, kept, k)
-    apart = value_slopes.MARGIN / (known.policies[0].grid.positions - 1)
+    apart = value_slopes.MARGIN_SPACINGS / (known.policies[0].grid.positions - 1)
     first = int(np.ceil(apart * kept.positions - 1e-9))
     assert row[: first + 1].tolist() == [first] * (first + 1)
     assert row[first + 1] == first + 1
@@ -174,8 +174,8 @@ def test_a_tube_gives_the_slopes_inside_it_and_only_there(loader):
     assert differ.sum() > 50
     rows, edges = kept.rows[k], kept.edges[k]
     near_c, near_w = (
-        0.6 * value_slopes.WIDTH,
-        0.6 * value_slopes.SPREAD,
+        0.6 * value_slopes.HALF_WIDTH,
+        0.6 * value_slopes.HALF_HEIGHT,
     )  # around the motion, held 0.3 m above the first lower end
     centre = problem.lower[0] + 0.3
     inside_c = (rows[:-1] >= centre - near_c) & (rows[1:] <= centre + near_c)

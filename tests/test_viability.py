@@ -22,7 +22,7 @@ def sled(rows: int, stages_: int) -> viability.Viable:
     cylinder[0, layout.A_MAX] = PUSH
     columns = [np.tile([-0.3, 0.3], (rows, 1)) for _ in range(stages_)]
     edges = (np.linspace(0.0, LENGTH, rows + 1),) * (stages_ + 1)
-    return viability.find(viability.BINS * rows, edges, (model,) * stages_, columns, cylinder, STEP)
+    return viability.viable_velocities(viability.BINS * rows, edges, (model,) * stages_, columns, cylinder, STEP)
 
 
 def room_to_stop(speed: float) -> float:

@@ -23,9 +23,9 @@ from leanboom.problem.stages import Problem
 
 SHARES = 8  # parts a thread takes of a stage: rows differ in work
 ON_EDGE = 1e-10  # [m/s], by which a velocity may be off a cell to be counted in it
-CLOSE = 1e-6  # [m], [m/s], least distance of middles for a slope
+LEAST_DISTANCE = 1e-6  # [m], [m/s], least distance of middles for a slope
 NO_FLOORS = np.empty((0, 0))  # of passes that find none
-BENT = 0.5  # a plane that loses more than this share of what it rises to a corner is tried again, level
+MOST_LOST = 0.5  # a plane that loses more than this share of what it rises to a corner is tried again, level
 
 
 GivenSlopes = Callable[[Cells, int], np.ndarray]  # as `value_slopes.Guide.slopes`
@@ -123,13 +123,13 @@ def _differences(pool: _Pool, k: int, ahead: np.ndarray) -> tuple[np.ndarray, np
 
 
 def _planes(pool: _Pool, k: int, ahead: np.ndarray) -> np.ndarray:
-    """Planes of a stage whose slopes are differences of the bounds at the cells' middles, level beside cliffs."""
+    """Planes sloped as bounds of neighbours differ, with zero slope next to infeasible cells, where the value jumps."""
     cells, active = pool.cells, pool.cells.active[k]
     here = np.zeros((*active.shape, 4))
     middle, here[..., 1:3] = _differences(pool, k, ahead)
     level = pool.backward(k, active, here, ahead)
     with np.errstate(invalid="ignore"):
-        bent = np.isfinite(level) & ~(middle - level <= BENT * _rise(cells, k, here))
+        bent = np.isfinite(level) & ~(middle - level <= MOST_LOST * _rise(cells, k, here))
     if bent.any():
         flat = pool.backward(k, np.where(bent, 0.0, np.inf), np.zeros_like(here), ahead)
         here[..., 3] = np.where(bent, np.maximum(flat, 0.0), 0.0)
@@ -173,7 +173,7 @@ def slopes(values: np.ndarray, axis: int, at: np.ndarray) -> np.ndarray:
         mean = 0.25 * f[:-2] + 0.5 * f[1:-1] + 0.25 * f[2:]
         f = np.concatenate([f[:1], np.where(np.isfinite(mean), mean, f[1:-1]), f[-1:]])
     apart = np.swapaxes(np.broadcast_to(at, values.shape), 0, axis)
-    step = np.diff(f, axis=0) / np.maximum(np.diff(apart, axis=0), CLOSE)
+    step = np.diff(f, axis=0) / np.maximum(np.diff(apart, axis=0), LEAST_DISTANCE)
     edge = np.full((1, f.shape[1]), np.nan)
     left, right = np.concatenate([edge, step]), np.concatenate([step, edge])
     left, right = np.where(np.isnan(left), right, left), np.where(np.isnan(right), left, right)
@@ -225,7 +225,7 @@ def reach(found: Bounds, limit: float, check: Callable[[float], None]) -> tuple[
 
 
 def refine(found: Bounds, excess: tuple[np.ndarray, ...], rows_too: bool = True) -> Cells | None:
-    """The cells that can still be entered, halved in velocity; None where there are none.
+    """Reachable cells, bisected; None if none is reachable below the cut-off energy.
 
     Args:
         found: The bounds over the cells.
@@ -307,7 +307,7 @@ def prepare() -> None:
     cell_enclosures.velocity_columns(model, cylinder, columns)
     cell_enclosures.place_edges(model, setting, lattice, np.zeros((1, 2)))
     cell_enclosures.hand_down(rows, columns, lattice, planes, one, rows, columns, lattice, one)
-    viability.find(1, (rows, rows), (model,), [columns], cylinder, 1.0)
+    viability.viable_velocities(1, (rows, rows), (model,), [columns], cylinder, 1.0)
     stage = Stage(model, rows, columns, columns, lattice, rows, columns, columns, np.zeros(2), cylinder, setting)
     bellman_bounds.backward(stage, 0, 1, False, one, planes, planes, one, NO_FLOORS)
     bellman_bounds.forward(stage, 0, 1, 0.0, one, planes, planes, one)

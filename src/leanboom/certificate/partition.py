@@ -59,7 +59,7 @@ class Cells:
     def share(self, k: int, position: np.ndarray) -> np.ndarray:
         """Positions [m] as shares of a stage's feasible extensions."""
         lower, upper = self.problem.lower[k], self.problem.upper[k]
-        return (position - lower) / max(upper - lower, position_rows.THIN)
+        return (position - lower) / max(upper - lower, position_rows.LEAST_RANGE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +94,7 @@ def size(problem: Problem, cost: str, beside: Motion | None = None, times: tuple
     rows = [position_rows.whole(problem, k, positions, beside, narrower, coarse) for k in range(problem.stages + 1)]
     velocities = np.full(problem.stages, 2 * int(np.ceil(limit / (higher * VELOCITY))))
     if beside is not None:
-        velocities[position_rows.from_end(problem, slice(-1), beside.position[:-1]) < position_rows.END] *= lower
+        velocities[position_rows.from_end(problem, slice(-1), beside.position[:-1]) < position_rows.NEAR_END] *= lower
     return Size(positions, velocities, rows, (position_rows.OUTERMOST if coarse else viability.BINS) * positions)
 
 
@@ -137,7 +137,7 @@ def made_of(
     edges.append(np.zeros((rows[n].size - 1, 2)))
     columns[n] = np.zeros((rows[n].size - 1, 2))  # the end: at rest
     if isinstance(viable, int):
-        viable = viability.find(viable, tuple(rows), model, columns, cylinder, problem.step)
+        viable = viability.viable_velocities(viable, tuple(rows), model, columns, cylinder, problem.step)
     cells = Cells(
         problem, cost, positions, velocities, lattice,
         tuple(np.zeros((stage.shape[0], count)) for stage, count in zip(model, counts, strict=True)), model,

@@ -16,12 +16,12 @@ from leanboom.problem import layout
 from leanboom.problem.stages import Problem
 
 POSITION = 0.006  # [m], largest width of a row of the first level
-NEAR = 0.1  # [m], from a motion to which rows beside it are narrower
-END, NARROWEST = 0.02, 16  # [m], from an end to which a motion's rows are so many times narrower, and cells lower
+NEAR_MOTION = 0.1  # [m], from a motion to which rows beside it are narrower
+NEAR_END, NARROWEST = 0.02, 16  # [m], from an end to which a motion's rows are so many times narrower, and cells lower
 OUTERMOST = 64  # how many times narrower the outermost row of a coarse level is: an end may be near a singular pose
 # How many times narrower rows and lower cells are there; where power jumps with velocity (LS), rows do more.
 FINER = {"cp": (4, 4), "ls": (8, 2)}
-THIN = 1e-9  # [m], least range of a stage's positions
+LEAST_RANGE = 1e-9  # [m], least range of a stage's positions
 AT_ONCE = 8192  # rows enclosed together: what their formulas need in between stays in the processor's caches
 UNKNOWN = 1e30  # error of a coefficient that cannot be enclosed over a cell
 
@@ -38,15 +38,15 @@ def whole(
 
     Where `ends` is set, rows at both ends are halved toward the end, down to an `OUTERMOST`-th.
     """
-    low, high = problem.lower[k], max(problem.upper[k], problem.lower[k] + THIN)
+    low, high = problem.lower[k], max(problem.upper[k], problem.lower[k] + LEAST_RANGE)
     edges = np.arange(positions * NARROWEST + 1)
     middle = low + (high - low) * (np.arange(positions + 1) + 0.5) / positions
     parts = np.ones(positions + 1, dtype=int)
     if beside is not None:
-        near = np.abs(middle - beside.position[k]) < NEAR
+        near = np.abs(middle - beside.position[k]) < NEAR_MOTION
         parts[near] = narrower
-        if from_end(problem, k, beside.position[k]) < END:
-            parts[near & (from_end(problem, k, middle) < END)] = NARROWEST
+        if from_end(problem, k, beside.position[k]) < NEAR_END:
+            parts[near & (from_end(problem, k, middle) < NEAR_END)] = NARROWEST
     edges = edges[edges % (NARROWEST // parts[edges // NARROWEST]) == 0]
     parted = NARROWEST
     if ends:

@@ -25,7 +25,7 @@ from leanboom.problem import feasible_strokes, stage_arrays
 from leanboom.problem.stages import Problem
 
 TUBE = (41, 33)  # nodes of a tube
-WIDTH, SPREAD = 0.03, 0.06  # half widths of the first tube: share of the stroke range, of the velocity limit
+HALF_WIDTH, HALF_HEIGHT = 0.03, 0.06  # half widths of the first tube: share of the stroke range, of the velocity limit
 LEVELS, REPEATS = 8, 3  # tubes are halved, and repeated while they gain
 
 
@@ -94,7 +94,7 @@ def improve(problem: Problem, seed: Measured, pump: str, free: bool) -> Measured
         for _ in range(REPEATS):
             share = 0.5**level
             at = best.motion
-            width, spread = share * WIDTH * (high - low), share * SPREAD * 2.0 * limit
+            width, spread = share * HALF_WIDTH * (high - low), share * HALF_HEIGHT * 2.0 * limit
             policy = value_function.solve(
                 problem, grids.tube_grid(problem, at.position, at.velocity, width, spread, *TUBE), pump
             )

@@ -1,13 +1,13 @@
-"""Slopes of the cost to go from a policy: where the certificate's own bounds cannot see an end of the stroke coming.
+"""Value-function slopes for the certificate's affine bounds, taken from a dynamic program's solution.
 
-A cell at an end of the feasible extensions is a box: whoever may be anywhere in it may stay in it although moving
-toward the end. Bounds of such cells know nothing of the end, nor do slopes that are differences of them, and
-planes without slope let them be so at every stage before. The values of a dynamic program do know.
+Finite differences of the bounds themselves ignore stroke limits. A cell at an end of the feasible extensions is a box:
+whoever may be anywhere in it may stay in it although moving toward the end. Neither the bounds of such cells nor
+differences of them rise toward the end, and planes without slope pass that on to every stage before.
 
-Power has kinks and jumps in velocity, so the values themselves make bad slopes where a cell holds one, and the best
-motions ride on kinks. A stage's cost and what follows after it are taken apart (`docs/certificate.md`): what follows
-is smooth, and the slope of the stage's cost over a cell with a kink is chosen such that riding on it is exact. Only
-slopes come from here; whatever they are, the bounds stay proven.
+Power has kinks and jumps in velocity, so differences of the values across one are bad slopes, and optimal motions
+follow kinks of the power. A stage's cost and what follows after it are taken apart (`docs/certificate.md`): what
+follows is smooth, and the slope of the stage's cost is chosen so that the bound is tight along the kink. Only slopes
+come from here; whatever they are, the bounds stay proven.
 """
 
 from __future__ import annotations
@@ -58,10 +58,12 @@ from leanboom.problem.stages import Problem
 
 GRID = (801, 201)  # positions and velocities of a policy over everything feasible
 TUBE = (201, 321)  # of a policy around the best known motion
-WIDTH, SPREAD = 0.1, 0.08  # [m], [m/s], half widths of the tube
-BORDER = 0.2  # share of a tube at its sides in which its values are not used: no motion may leave it there
-MARGIN = 3.0  # spacings of a policy's grid around a cell in which no state may be lost, for its slopes to be used
-THIN = 1e-6  # [m/s], least half height of a cell for differences over it
+HALF_WIDTH, HALF_HEIGHT = 0.1, 0.08  # [m], [m/s], half widths of the tube
+UNUSED_SHARE = 0.2  # share of a tube at its sides in which its values are not used: no motion may leave it there
+MARGIN_SPACINGS = (
+    3.0  # spacings of a policy's grid around a cell in which all states must be viable, for its slopes to be used
+)
+LEAST_HALF_HEIGHT = 1e-6  # [m/s], least half height of a cell for differences over it
 
 
 class Envelope(NamedTuple):
@@ -74,7 +76,7 @@ class Envelope(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Guide:
-    """Values of policies, and which states are lost: beside those, penalties spoil the values."""
+    """DP value functions and the viable set; near non-viable states values contain penalty terms and are not used."""
 
     policies: tuple[Policy, ...]  # ever finer and narrower; the first knows every feasible state
     viable: Viable
@@ -83,7 +85,7 @@ class Guide:
     def slopes(self, cells: Cells, k: int) -> np.ndarray:
         """Slopes for the planes of a stage's cells, from the finest policy that knows a cell.
 
-        Cells near lost states take what follows from the nearest others.
+        Cells near non-viable states take what follows from the nearest others.
 
         Args:
             cells: The cells.
@@ -96,8 +98,8 @@ class Guide:
         if k < cells.problem.stages - 1:
             left = np.isfinite(cells.active[k])
             for i in range(len(self.policies) - 1, -1, -1):
-                policy, known = self.policies[i], _known(self.policies[i], cells, k)
-                row, column = self._nearest(policy, cells, k, known)
+                policy, known = self.policies[i], known_cells(self.policies[i], cells, k)
+                row, column = self.nearest_known(policy, cells, k, known)
                 ahead, some = self._envelope(i, k + 1, cells.setting), np.where(known & left, 0.0, np.inf)
                 follow(stage, policy.values[k + 1], policy.tables.stage, k + 1, ahead, some, row, column, found)
                 left &= ~known
@@ -114,10 +116,10 @@ class Guide:
             self.envelopes[i, k] = found
         return self.envelopes[i, k]
 
-    def _nearest(self, policy: Policy, cells: Cells, k: int, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def nearest_known(self, policy: Policy, cells: Cells, k: int, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """For every cell the nearest known one that keeps the margin: rows, (rows,), and columns, (rows, columns)."""
-        edges, aside = cells.edges[k], MARGIN * policy.tables.stage[k, DW]
-        apart = MARGIN * policy.tables.stage[k, DC]
+        edges, aside = cells.edges[k], MARGIN_SPACINGS * policy.tables.stage[k, DW]
+        apart = MARGIN_SPACINGS * policy.tables.stage[k, DC]
         below, above = cells.share(k, cells.rows[k][:-1] - apart), cells.share(k, cells.rows[k][1:] + apart)
         low = np.where(below < 0.0, np.inf, self.viable.within(k, below, below)[0]) + aside
         high = np.where(above > 1.0, -np.inf, self.viable.within(k, above, above)[1]) - aside
@@ -131,12 +133,12 @@ class Guide:
         return row, np.clip(columns[None, :], first[row, None], last[row, None])
 
 
-def _known(policy: Policy, cells: Cells, k: int) -> np.ndarray:
-    """Which cells of a stage lie where a policy's values are not spoilt by the sides of its grid, (rows, columns)."""
+def known_cells(policy: Policy, cells: Cells, k: int) -> np.ndarray:
+    """Mask of the cells of a stage that are far enough from the sides of a policy's grid, (rows, columns)."""
     grid, rows, edges = policy.grid, cells.rows[k], cells.edges[k]
-    inset_c, inset_w = BORDER * (grid.c_hi[k] - grid.c_lo[k]), BORDER * (grid.w_hi[k] - grid.w_lo[k])
+    inset_c, inset_w = UNUSED_SHARE * (grid.c_hi[k] - grid.c_lo[k]), UNUSED_SHARE * (grid.w_hi[k] - grid.w_lo[k])
     limit = cells.problem.crane.machine.redundant.velocity_limit
-    # Sides that are limits of the motion itself spoil nothing.
+    # Sides that are limits of the motion itself count for nothing.
     low_c = -np.inf if grid.c_lo[k] <= cells.problem.lower[k] else grid.c_lo[k] + inset_c
     high_c = np.inf if grid.c_hi[k] >= cells.problem.upper[k] else grid.c_hi[k] - inset_c
     low_w = -np.inf if grid.w_lo[k] <= -limit else grid.w_lo[k] + inset_w
@@ -154,7 +156,7 @@ def _lines(grid: Grid, step: float, k: int) -> np.ndarray:
 def make(problem: Problem, cost: str, viable: Viable, beside: Motion) -> Guide:
     """The guide of a problem: solve it on a grid of everything feasible and on one around a motion."""
     full = grids.full_grid(problem, *GRID)
-    tube = grids.tube_grid(problem, beside.position, beside.velocity, WIDTH, SPREAD, *TUBE)
+    tube = grids.tube_grid(problem, beside.position, beside.velocity, HALF_WIDTH, HALF_HEIGHT, *TUBE)
     return Guide((value_function.solve(problem, full, cost), value_function.solve(problem, tube, cost)), viable)
 
 
@@ -224,7 +226,7 @@ def follow(stage, values, grid, k, envelope, active, row, column, slope):
             if active[p, r] == np.inf:
                 continue
             slow, fast = edges[row[p], column[p, r]], edges[row[p], column[p, r] + 1]
-            w, half = 0.5 * (fast + slow), max(0.5 * (fast - slow), THIN)
+            w, half = 0.5 * (fast + slow), max(0.5 * (fast - slow), LEAST_HALF_HEIGHT)
             lo, hi = cell_accelerations(coefficients, cylinder, w, 0.0)
             rise = least_ahead(ahead, step, envelope, c + half_c, w, lo, hi)
             rise -= least_ahead(ahead, step, envelope, c - half_c, w, lo, hi)
@@ -257,7 +259,10 @@ def charge(stage, active, slope):
         for r in range(slope.shape[1]):
             if active[p, r] == np.inf:
                 continue
-            w, half = 0.5 * (edges[p, r + 1] + edges[p, r]), max(0.5 * (edges[p, r + 1] - edges[p, r]), THIN)
+            w, half = (
+                0.5 * (edges[p, r + 1] + edges[p, r]),
+                max(0.5 * (edges[p, r + 1] - edges[p, r]), LEAST_HALF_HEIGHT),
+            )
             lo, hi = cell_motion(coefficients, cylinder, setting, w, half, motion)
             if not lo <= hi:
                 continue

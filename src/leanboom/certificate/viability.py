@@ -1,9 +1,9 @@
-"""Velocities from which the redundant cylinder can still keep its limits: a first, cheap cut of the certificate.
+"""Velocities from which the redundant cylinder can still keep its limits: the viable set, stage by stage.
 
 Near an end of the feasible extensions only slow motions toward it can still stop in time. For every stage and
 position `Viable` bounds the velocities of all motions that keep the limits to the end; `docs/certificate.md` proves
-the recursion. It looks at positions in bins and at velocities as numbers, so it knows the cliff of the cost to go
-better than cells, which are boxes of both.
+the recursion. Positions are in bins and velocities are numbers, so the edge of the viable set is known more
+exactly than by cells, which are boxes of both.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Viable:
         return self.low[k, highest], self.high[k, lowest]
 
 
-def find(
+def viable_velocities(
     bins: int, rows: tuple[np.ndarray, ...], model: tuple[np.ndarray, ...], columns: list[np.ndarray],
     cylinder: np.ndarray, step: float,
 ) -> Viable:  # fmt: skip
@@ -60,12 +60,14 @@ def find(
     n = len(model)
     low, high = np.zeros((n + 1, bins)), np.zeros((n + 1, bins))
     for k in range(n - 1, -1, -1):
-        stage(model[k], cylinder, step, rows[k], rows[k + 1], columns[k], low[k + 1], high[k + 1], low[k], high[k])
+        stage_velocities(
+            model[k], cylinder, step, rows[k], rows[k + 1], columns[k], low[k + 1], high[k + 1], low[k], high[k]
+        )
     return Viable(low, high)
 
 
 @njit(cache=True, **INNER)
-def least_at(low, first, width, c):
+def least_viable(low, first, width, c):
     """Least viable velocity at position c of bins of `width` from `first` on; inf below them."""
     if c < first - ON_LIMIT:
         return np.inf
@@ -73,20 +75,20 @@ def least_at(low, first, width, c):
 
 
 @njit(cache=True, **INNER)
-def least(slowest, fastest, push, c, step, ahead, first, width):
-    """Least velocity from c that the hardest push up takes to a viable state; inf where there is none.
+def least_velocity(slowest, fastest, push, c, step, ahead, first, width):
+    """Smallest velocity at c from which maximum acceleration reaches the viable set; inf where there is none.
 
     What is reached rises with the velocity and what is viable there falls, so there is one threshold. The end of
     its bracket that is not viable is returned.
     """
     c += 0.5 * step * step * push
-    if slowest + step * push >= least_at(ahead, first, width, c + step * slowest):
+    if slowest + step * push >= least_viable(ahead, first, width, c + step * slowest):
         return slowest
-    if not fastest + step * push >= least_at(ahead, first, width, c + step * fastest):
+    if not fastest + step * push >= least_viable(ahead, first, width, c + step * fastest):
         return np.inf
     for _ in range(HALVINGS):
         w = 0.5 * (slowest + fastest)
-        if w + step * push >= least_at(ahead, first, width, c + step * w):
+        if w + step * push >= least_viable(ahead, first, width, c + step * w):
             fastest = w
         else:
             slowest = w
@@ -94,7 +96,7 @@ def least(slowest, fastest, push, c, step, ahead, first, width):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def stage(model, cylinder, step, rows, rows_ahead, columns, low_ahead, high_ahead, low, high):
+def stage_velocities(model, cylinder, step, rows, rows_ahead, columns, low_ahead, high_ahead, low, high):
     """Viable velocities of one stage's bins, `low` and `high`, from those of the next stage.
 
     The upper bounds are the lower ones of the mirrored problem: positions, velocities and pushes with the other sign.
@@ -113,8 +115,8 @@ def stage(model, cylinder, step, rows, rows_ahead, columns, low_ahead, high_ahea
             down, up = min(down, lo), max(up, hi)
         for b in range(round((rows[p] - rows[0]) / width), round((rows[p + 1] - rows[0]) / width)):
             c = rows[0] + b * width
-            low[b] = least(slowest, fastest, up, c + width, step, low_ahead, rows_ahead[0], width_ahead)
-            high[b] = -least(-fastest, -slowest, -down, -c, step, mirrored, -rows_ahead[-1], width_ahead)
+            low[b] = least_velocity(slowest, fastest, up, c + width, step, low_ahead, rows_ahead[0], width_ahead)
+            high[b] = -least_velocity(-fastest, -slowest, -down, -c, step, mirrored, -rows_ahead[-1], width_ahead)
     for b in range(1, bins):
         low[b] = min(low[b], low[b - 1])
     for b in range(bins - 2, -1, -1):
