@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import hypothesis
@@ -28,3 +29,23 @@ def _fixed_seed() -> None:
 def rng() -> np.random.Generator:
     """A generator with a fixed seed."""
     return np.random.default_rng(20170506)
+
+
+@pytest.fixture(scope="module")
+def coarser_guide() -> Iterator[None]:
+    """Coarser policies as guides of certificates: whatever their slopes, bounds are proven; making them takes time."""
+    from leanboom.certificate import value_slopes  # not before the folder of kernels is set
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(value_slopes, "GRID", (401, 101))
+        patch.setattr(value_slopes, "TUBE", (101, 161))
+        yield
+
+
+@pytest.fixture
+def larger_cells(coarser_guide, monkeypatch) -> None:
+    """First cells of certificates twice as wide and high, and coarser guides: the same proof from fewer cells."""
+    from leanboom.certificate import partition, position_rows
+
+    monkeypatch.setattr(partition, "VELOCITY", 2.0 * partition.VELOCITY)
+    monkeypatch.setattr(position_rows, "POSITION", 2.0 * position_rows.POSITION)

@@ -17,18 +17,18 @@ REACH = 0.6  # of a cell, how far from its middle differences are taken
 
 
 @pytest.fixture(scope="module")
-def loader():
+def loader(coarser_guide):
     """The medium triangle from the retracted telescope, coarsely, its cells and a guide."""
     task = replace(load_task("loader-triangle-medium"), start="smallest")
-    problem = stages.discretise(task, 0.25)
+    problem = stages.discretise(task, 0.5)
     kept = partition.whole(problem, "cp")
     held = motion.from_velocities(problem.step, problem.lower[0] + 0.3, np.zeros(problem.stages + 1), "held", "cp")
     return problem, kept, value_slopes.make(problem, "cp", kept.viable, held)
 
 
 def test_guided_bounds_see_the_end_of_the_stroke_and_stay_below_every_motion(loader):
-    problem, kept, known = loader
-    start = float(problem.lower[0])
+    problem, _, known = loader
+    kept, start = partition.whole(problem, "cp", times=(1, 2)), float(problem.lower[0])
     guided = lower_bounds.bound(kept, start, quiet, known.slopes)
     assert guided.lower > 1.01 * lower_bounds.bound(kept, start, quiet).lower
     # Nor above a policy's motion, stage by stage.
@@ -40,8 +40,8 @@ def test_guided_bounds_see_the_end_of_the_stroke_and_stay_below_every_motion(loa
 
 
 def test_slopes_that_are_no_numbers_are_level_ones(loader):
-    problem, kept, _ = loader
-    start = float(problem.lower[0])
+    problem, _, _ = loader
+    kept, start = partition.whole(problem, "cp", times=(4, 2)), float(problem.lower[0])
 
     def given(value):
         return lambda cells_, k: np.full((*cells_.active[k].shape, 2), value)
@@ -103,7 +103,7 @@ def nearest(known, kept, k):
 def test_slopes_are_those_of_the_least_cost_to_go(loader, pump):
     """Against differences of stage cost plus values ahead, least over all accelerations, where nothing has a kink."""
     problem, _, known = loader
-    kept, k = partition.whole(problem, pump), 40
+    kept, k = partition.whole(problem, pump), 20
 
     def values(above, w):
         return 3e4 * (above - 0.3) ** 2 + 2e4 * (w - 0.05) ** 2
@@ -137,7 +137,7 @@ def test_slopes_are_those_of_the_least_cost_to_go(loader, pump):
 def test_riding_on_a_kink_of_flow_is_exact(loader):
     """In a cell where a cylinder turns round nothing is gained across, or its slope is at its bound."""
     problem, kept, known = loader
-    k, turning, exact = 40, 0, 0
+    k, turning, exact = 20, 0, 0
     found = given_values(known, k + 1, lambda above, w: 4e4 * above + 0.0 * w).slopes(kept, k)
     across = found[..., 1] + 0.5 * problem.step * found[..., 0]
     for p in range(20, 150, 10):
@@ -186,7 +186,7 @@ def test_a_tube_gives_the_slopes_inside_it_and_only_there(loader):
 
 
 @pytest.mark.parametrize(("gap", "guided"), [(99.0, False), (0.6, True)])
-def test_a_guide_is_asked_where_the_first_bound_does_not_do(monkeypatch, gap, guided):
+def test_a_guide_is_asked_where_the_first_bound_does_not_do(larger_cells, monkeypatch, gap, guided):
     plain, asked = lower_bounds.bound, []
 
     def watched(kept, begin, clock, given=None, limit=np.inf, coarse=False):
@@ -194,6 +194,6 @@ def test_a_guide_is_asked_where_the_first_bound_does_not_do(monkeypatch, gap, gu
         return plain(kept, begin, clock, given, limit, coarse)
 
     monkeypatch.setattr(lower_bounds, "bound", watched)
-    proof = certify(load_task("forwarder-vertical", start="middle"), "cp", step=0.25, gap=gap, seconds=120.0)
+    proof = certify(load_task("forwarder-vertical", start="middle"), "cp", step=0.5, gap=gap, seconds=120.0)
     assert any(given is not None for given in asked) == guided
     assert 0.0 < proof.lower_bound_j <= proof.energy_j
