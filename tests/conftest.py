@@ -44,8 +44,9 @@ def coarser_guide() -> Iterator[None]:
 
 @pytest.fixture
 def larger_cells(coarser_guide, monkeypatch) -> None:
-    """First cells of certificates twice as wide and high, and coarser guides: the same proof from fewer cells."""
-    from leanboom.certificate import partition, position_rows
+    """First cells of certificates twice as wide and high, coarser guides, a motion from a coarser grid beside."""
+    from leanboom.certificate import certificate, partition, position_rows
 
     monkeypatch.setattr(partition, "VELOCITY", 2.0 * partition.VELOCITY)
     monkeypatch.setattr(position_rows, "POSITION", 2.0 * position_rows.POSITION)
+    monkeypatch.setattr(certificate, "GRID", (41, 31))

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import slow_bounds
 from leanboom import InfeasibleError, InputError, LeanboomError, budget, certify, load_task
-from leanboom.certificate import lower_bounds, partition, refinement, upper_bound
+from leanboom.certificate import certificate, lower_bounds, partition, refinement, upper_bound
 from leanboom.cli.app import app
 from leanboom.components.pumps import EfficiencyMap, Pump
 from leanboom.model import motion
@@ -35,7 +35,7 @@ def solved():
     """The bounds of a coarse vertical path, LS, and a motion to hold against them."""
     task = replace(load_task("forwarder-vertical"), start="middle")
     problem = stages.discretise(task, 0.25)
-    found = lower_bounds.bound(partition.whole(problem, "ls"), None, quiet)
+    found = lower_bounds.bound(partition.whole(problem, "ls", times=(2, 2)), None, quiet)
     return problem, found
 
 
@@ -64,11 +64,11 @@ def test_bounds_over_coarse_cells_never_exceed_the_brute_force_optimum(seed, tim
 
 @pytest.mark.parametrize("pump", ["cp", "ls"])
 @pytest.mark.parametrize("seed", range(6))
-def test_bound_never_exceeds_the_brute_force_optimum(seed, pump):
+def test_bound_never_exceeds_the_brute_force_optimum(larger_cells, seed, pump):
     task = small_task(seed)
     problem = stages.discretise(task, task.duration / 4.0)
     start = 0.5 * (problem.lower[0] + problem.upper[0])
-    least, best = slow_bounds.least_energy(problem, pump, start, 25)
+    least, best = slow_bounds.least_energy(problem, pump, start, 17)
     assert best is not None
     kept, bound, told = partition.whole(problem, pump, best if seed % 3 else None), 0.0, 0
     for level in range(4):
@@ -99,7 +99,7 @@ def energy_behind(kept: partition.Cells, k: int, position: float, velocity: floa
 
 
 @pytest.mark.parametrize("pump", ["cp", "ls"])
-def test_planes_stay_below_all_sampled_motions_of_their_cell(pump, rng):
+def test_planes_stay_below_all_sampled_motions_of_their_cell(larger_cells, pump, rng):
     task = small_task(1)
     problem = stages.discretise(task, task.duration / 4.0)
     still = motion.from_velocities(problem.step, problem.lower[0] + 0.1, np.zeros(problem.stages + 1), "still", pump)
@@ -156,7 +156,7 @@ def test_a_broken_cell_bound_is_caught(solved, rng):
     assert flagged[k] < 0.0
 
 
-def test_a_bound_that_contradicts_the_motion_is_not_certified(monkeypatch):
+def test_a_bound_that_contradicts_the_motion_is_not_certified(larger_cells, monkeypatch):
     honest = lower_bounds.bound
 
     def broken(*arguments, **named):
@@ -219,9 +219,9 @@ def test_a_bound_found_in_time_counts_although_one_with_other_slopes_is_not():
         refinement.tightest(bounds_of((iter([None]), iter([1.0])), []), (0.0, 0.0), 100.0, 0.5)
 
 
-def test_bound_rises_with_refinement():
+def test_bound_rises_with_refinement(larger_cells):
     task = replace(load_task("forwarder-vertical"), start="middle")
-    proof = certify(task, "cp", step=0.25, seconds=120.0, gap=0.3)
+    proof = certify(task, "cp", step=0.5, seconds=120.0, gap=0.3)
     lower = [level.lower_bound_j for level in proof.levels]
     assert len(lower) > 2
     for first, (before, after) in zip((True, False, False, False), pairwise(proof.levels[1:]), strict=False):
@@ -235,9 +235,10 @@ def test_bound_rises_with_refinement():
 
 @pytest.mark.parametrize("pump", ["cp", "ls"])
 @pytest.mark.parametrize(("seconds", "start"), [(1e-6, "smallest"), (0.05, "best")])
-def test_a_bound_is_proven_however_short_the_time(pump, seconds, start):
+def test_a_bound_is_proven_however_short_the_time(monkeypatch, pump, seconds, start):
     """A busy machine once used up the default minute before the first level ended: the table was empty, the bound 0."""
-    proof = certify(replace(load_task("forwarder-vertical"), start=start), pump, step=0.1, seconds=seconds)
+    monkeypatch.setattr(certificate, "GRID", (41, 31))  # of the motion to compare with
+    proof = certify(replace(load_task("forwarder-vertical"), start=start), pump, step=0.2, seconds=seconds)
     assert proof.reason == refinement.TIME_IS_OVER
     assert proof.levels[0].positions <= proof.levels[-1].positions
     assert 0.0 < proof.lower_bound_j == proof.levels[-1].lower_bound_j <= proof.energy_j
@@ -369,8 +370,8 @@ def test_an_efficiency_map_is_refused():
         certify(task, "cp")
 
 
-def test_command_prints_the_plan_and_the_bound():
-    command = ["certify", "forwarder-vertical", "--start", "middle", "--pump", "cp", "--step", "0.25", "--gap", "2"]
+def test_command_prints_the_plan_and_the_bound(larger_cells):
+    command = ["certify", "forwarder-vertical", "--start", "middle", "--pump", "cp", "--step", "0.5", "--gap", "2"]
     done = CliRunner().invoke(app, [*command, "--json"])
     assert done.exit_code == 0, done.output
     printed = json.loads(done.stdout)
@@ -378,13 +379,27 @@ def test_command_prints_the_plan_and_the_bound():
     assert printed["gap_percent"] <= 2.0
     assert printed["certify_s"] > 0.0
     assert {"task", "energy_j", "status"} <= printed.keys()
-    told = CliRunner().invoke(app, command)
+    told = CliRunner().invoke(app, [*command, "--gap", "50"])
     assert "No motion below" in told.stdout
 
 
-def test_plan_certifies_when_asked():
+def test_plan_certifies_when_asked(larger_cells):
     done = CliRunner().invoke(
-        app, ["plan", "forwarder-vertical", "--start", "middle", "--pump", "cp", "--step", "0.5", "--certify", "--json"]
+        app,
+        [
+            "plan",
+            "forwarder-vertical",
+            "--start",
+            "middle",
+            "--pump",
+            "cp",
+            "--step",
+            "0.5",
+            "--grid",
+            "41x31",
+            "--certify",
+            "--json",
+        ],
     )
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["lower_bound_j"] > 0.0
