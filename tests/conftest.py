@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +19,24 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(ROOT / ".cache" / "numba"))
 # The first call of a kernel compiles it, so a time limit per example would measure the compiler.
 hypothesis.settings.register_profile("leanboom", derandomize=True, database=None, deadline=None)
 hypothesis.settings.load_profile("leanboom")
+
+# Kernels that take about as long to compile as each other.
+PREPARED = (
+    "from leanboom.dynamic_programming import value_function; value_function.prepare()",
+    "from leanboom.certificate import lower_bounds, value_slopes; from leanboom.fixed_mode import modes; "
+    "modes.prepare(); lower_bounds.prepare(); value_slopes.prepare()",
+)
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile the kernels before workers share tests: all would meet them at once, and each compile every one.
+
+    Workers that share whole files (`--dist loadfile`) meet different ones.
+    """
+    if session.config.getoption("numprocesses", None) and session.config.getoption("dist") != "loadfile":
+        running = [subprocess.Popen([sys.executable, "-c", each]) for each in PREPARED]
+        for each in running:
+            assert each.wait() == 0, "kernels cannot be compiled"
 
 
 @pytest.fixture(autouse=True)
