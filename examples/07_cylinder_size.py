@@ -11,7 +11,7 @@ import leanboom as lb
 from leanboom.components.paths import Lines
 
 DIAGONAL = Lines(points=((1.4, 0.0, 0.5), (3.2, 0.0, 2.5)), durations=(10.0,))  # first edge of the large triangle
-GRID, STEP = (41, 31), 0.2
+GRID, STEP, EFFORT = (41, 31), 0.2, "quick"  # all quicker than the defaults
 
 
 def with_extension_bore(machine: lb.Machine, bore: float, rod: float) -> lb.Machine:
@@ -31,7 +31,7 @@ def main():
     for bore in (0.050, 0.045):
         machine = with_extension_bore(task.machine, bore, rod=0.030)
         for pump in ("ls", "cp"):
-            motion = lb.plan(replace(task, machine=machine), pump=pump, grid=GRID, step=STEP)
+            motion = lb.plan(replace(task, machine=machine), pump=pump, grid=GRID, step=STEP, effort=EFFORT)
             judged = lb.evaluate(replace(task, machine=machine), motion)
             energy = judged.energy(pump)
             change = energy / reference.setdefault(pump, energy) - 1

@@ -12,6 +12,7 @@ import numpy as np
 import leanboom as lb
 from leanboom.components.paths import Moved
 
+STEP = 0.1  # longer than the default: quicker
 NUDGE = 0.01, 0.01  # what the telescope is off at every new plan, at most [m], [m/s]
 
 
@@ -20,7 +21,7 @@ def main():
     changed = replace(task, path=Moved(task.path, offset=(0.3, -0.7, 0.3), since=4.0, over=5.0))
     rng = np.random.default_rng(1)
     for pump in ("ls", "cp"):
-        plan = lb.run(task, pump=pump, baseline=False)
+        plan = lb.run(task, pump=pump, step=STEP, baseline=False)
         spent = np.interp(4.0, plan.evaluation.time, energy_so_far(plan.evaluation, pump))
         following = None
         now = 4.0
@@ -30,14 +31,14 @@ def main():
             position, velocity = (
                 float(x + rng.uniform(-n, n)) for x, n in zip((position, velocity), NUDGE, strict=True)
             )
-            following = lb.replan(changed, now, position, velocity, pump=pump, around=following)
+            following = lb.replan(changed, now, position, velocity, pump=pump, around=following, step=STEP)
             assert not following.stopping, following.status
             until = min(now + 1.0, changed.duration)
             judged = following.evaluation
             spent += np.interp(until - now, judged.time, energy_so_far(judged, pump))
             motion, now = following, until
         today = lb.run(changed, pump=pump, method="sns-actuator", baseline=False, check=False).evaluation
-        known = lb.run(changed, pump=pump, baseline=False).evaluation
+        known = lb.run(changed, pump=pump, step=STEP, baseline=False).evaluation
         missed = np.linalg.norm(following.evaluation.tool[-1] - known.tool[-1])
         print(f"{pump}: the tool ends {1e3 * missed:.1f} mm from its new target")
         print(f"    re-planned {spent / 1e3:.1f} kJ, pseudo-inverse {today.energy(pump) / 1e3:.1f} kJ ({today.status})")
