@@ -14,14 +14,17 @@ from typer.testing import CliRunner
 
 from leanboom.cli.app import app
 from leanboom.components.linkages import LINKAGES, Linkage
+from leanboom.components.paths import PATHS, Lines, Spline
 from leanboom.components.valves import VALVES, IndependentMetering, Valve, driven
 from leanboom.errors import InputError
 from leanboom.evaluation.evaluate import evaluate
 from leanboom.io import starter
 from leanboom.io.loading import dump_machine, dump_task, json_schema, load_machine, load_task
-from leanboom.io.schema import PATHS, MachineKeys, TaskKeys
+from leanboom.io.schema import MachineKeys, TaskKeys
+from leanboom.model.machine import Joints, Machine
 from leanboom.model.motion import from_velocities
-from leanboom.quantities.declarations import Section, Variant
+from leanboom.model.task import Task
+from leanboom.quantities.declarations import Section, Variant, declared, meanings
 from leanboom.quantities.ranges import Range
 from leanboom.quantities.rules import Switch, Word
 from leanboom.quantities.types import PositiveLength, Pressure
@@ -285,3 +288,23 @@ def test_the_task_of_the_files_page_has_the_declared_keys():
     for name in ("payload", "smooth"):
         row = next(row for row in rows if row[0] == f"`{name}`")
         assert row[1].startswith(told(task[name])) and (default(task[name]) in row[1]) != task[name].required, row
+
+
+def test_keys_of_files_are_fields_of_machine_and_task():
+    """What a key is called there is taken from where it is declared, with its range and its meaning."""
+    for keys_made, part, prefix in ((TaskKeys, Task, ""), (MACHINE["payload"].rule.made, Machine, "payload_"),
+                                    (MACHINE["dynamics"].rule.made, Machine, "")):  # fmt: skip
+        shared = [name for name in declared(keys_made) if prefix + name in declared(part)]
+        assert len(shared) >= 2
+        for name in shared:
+            given, own = declared(keys_made)[name].rule, declared(part)[prefix + name].rule
+            assert (type(given), given.allowed) == (type(own), own.allowed)
+            assert meanings(keys_made)[name] == meanings(part)[prefix + name]
+    assert tuple(PATHS.values()) == (Lines, Spline) and MACHINE["joints"].rule.made is Joints
+
+
+def test_a_path_in_python_may_last_longer_than_in_a_file():
+    path = Lines(((5.5, 0.0, 4.0), (5.5, 0.0, 3.0)), (5000.0,))
+    with pytest.raises(InputError) as caught:
+        dump_task(replace(load_task("forwarder-vertical"), path=path))
+    assert "path.durations[0] = 5000.0; must be from 0.0001 s to 3600 s" in str(caught.value)

@@ -8,13 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
 from leanboom.errors import InputError
 from leanboom.quantities import ranges
+from leanboom.quantities.declarations import hold_declared
+from leanboom.quantities.ranges import Refused
+from leanboom.quantities.rules import Listing, counted
+from leanboom.quantities.types import Coordinate, Duration, Time
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -24,19 +29,33 @@ Values = tuple[np.ndarray, np.ndarray, np.ndarray]  # tool position, velocity, a
 NEAR = 0.1  # [m], a path nearer to the slewing axis may turn the base within some samples
 
 
+def rising_from_zero(times: tuple[float, ...]) -> tuple[float, ...]:
+    """The times [s], if they begin with 0 and every one is above the one before it."""
+    if times[0] != 0.0 or any(b - a < 0.99 * ranges.MOMENT for a, b in pairwise(times)):
+        raise Refused("times must begin with 0 and every one be above the one before it, by at least 0.0001 s")
+    return times
+
+
+_POINT = Listing("three lengths x, y, z", ranges.COORDINATE, 3, 3, bare=True)
+Point = Annotated[tuple[Coordinate, Coordinate, Coordinate], _POINT]
+Points = Annotated[tuple[Point, ...], Listing("at least two points [x, y, z]", _POINT, 2, bare=True)]
+Durations = Annotated[tuple[Duration, ...], Listing("at least one time", ranges.DURATION, 1)]
+Times = Annotated[tuple[Time, ...], Listing("at least two times", ranges.TIME, 2, order=rising_from_zero)]
+
+
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """Straight segments, each a quintic rest-to-rest motion (Jazar 2010, as both papers use)."""
+    """Straight segments, each a quintic motion from rest to rest."""
 
-    points: tuple[tuple[float, float, float], ...]  # [m], one more than durations
-    durations: tuple[float, ...]  # [s]
+    # Jazar 2010, as both papers use.
+    points: Points
+    """Corners [x, y, z], one more than durations."""
+    durations: Durations
+    """Of each segment."""
 
     def __post_init__(self) -> None:
-        durations = ranges.listed("path.durations", self.durations, "at least one time", 1)
-        object.__setattr__(self, "points", _points(self.points))
-        object.__setattr__(self, "durations", _times("path.durations", durations, ranges.DURATION))
-        if fault := miscounted(self.points, self.durations):
-            raise InputError(f"path.durations{'; '.join(fault)}")
+        hold_declared(self, "path")
+        counted("path.durations", self.durations, len(self.points) - 1, "one less than points")
 
     @property
     def duration(self) -> float:
@@ -73,17 +92,14 @@ class Lines:
 class Spline:
     """Clamped cubic spline through via points: zero velocity at both ends."""
 
-    points: tuple[tuple[float, float, float], ...]  # [m]
-    times: tuple[float, ...]  # [s], increasing from 0
+    points: Points
+    """Via points [x, y, z], as many as times."""
+    times: Times
+    """When each point is passed, rising from 0."""
 
     def __post_init__(self) -> None:
-        times = ranges.listed("path.times", self.times, "at least two times", 2)
-        object.__setattr__(self, "points", _points(self.points))
-        object.__setattr__(self, "times", _times("path.times", times, ranges.TIME))
-        if fault := miscounted(self.points, self.times, spline=True):
-            raise InputError(f"path.times{'; '.join(fault)}")
-        if not rises(self.times):
-            raise InputError(f"path.times = {ranges.shown(list(self.times))}; {RISING}")
+        hold_declared(self, "path")
+        counted("path.times", self.times, len(self.points), "as many as points")
 
     @property
     def duration(self) -> float:
@@ -115,12 +131,11 @@ class Part:
     """A path between two of its times, on a clock of its own: what is left to do, or what is known of it."""
 
     path: Path
-    since: float  # [s]
-    until: float  # [s]
+    since: Time
+    until: Time
 
     def __post_init__(self) -> None:
-        _made_of(self.path)
-        ranges.hold(self, "path", since=ranges.TIME, until=ranges.TIME)
+        _hold(self)
         last = self.path.duration
         if not self.since < self.until <= last * (1.0 + 1e-9):
             raise InputError(
@@ -157,14 +172,15 @@ class Moved:
     """A path blended, from `since` over `over` seconds by a quintic, into a copy of itself shifted by `offset`."""
 
     path: Path
-    offset: tuple[float, float, float]  # how far the rest of the path moves [m]
-    since: float  # until then the path is as it was [s]
-    over: float  # time that leading over takes, by a quintic [s]
+    offset: Point
+    """How far the rest of the path moves."""
+    since: Time
+    """Until then the path is as it was."""
+    over: Duration
+    """Time that leading over takes, by a quintic."""
 
     def __post_init__(self) -> None:
-        _made_of(self.path)
-        object.__setattr__(self, "offset", _point("path.offset", self.offset))
-        ranges.hold(self, "path", since=ranges.TIME, over=ranges.DURATION)
+        _hold(self)
 
     @property
     def duration(self) -> float:
@@ -199,12 +215,12 @@ class Braking:
     """A path left early: from a time on the tool slows down evenly along it until it stands."""
 
     path: Path
-    since: float  # [s]
-    over: float  # time that stopping takes [s]
+    since: Time
+    over: Duration
+    """Time that stopping takes."""
 
     def __post_init__(self) -> None:
-        _made_of(self.path)
-        ranges.hold(self, "path", since=ranges.TIME, over=ranges.DURATION)
+        _hold(self)
 
     @property
     def duration(self) -> float:
@@ -236,26 +252,7 @@ class Braking:
 
 
 Path = Lines | Spline | Part | Moved | Braking
-RISING = "times must begin with 0 and every one be above the one before it, by at least 0.0001 s"
-
-
-def rises(times: tuple[float, ...]) -> bool:
-    """Whether times [s] begin with 0 and every one is above the one before it."""
-    return times[0] == 0.0 and all(b - a >= 0.99 * ranges.MOMENT for a, b in zip(times, times[1:], strict=False))
-
-
-def miscounted(points: tuple, times: tuple, *, spline: bool = False) -> tuple[str, str] | None:
-    """How many times there are and must be beside the points, in words; None where their number is right.
-
-    Args:
-        points: Points of a path.
-        times: Durations of its segments, or the times of a spline's points.
-        spline: Whether it is a spline.
-    """
-    wanted = len(points) if spline else len(points) - 1
-    if len(times) == wanted:
-        return None
-    return f" has {len(times)} entries", f"must have {wanted}, {'as many as' if spline else 'one less than'} points"
+PATHS: dict[str, type] = {"lines": Lines, "spline": Spline}  # those that files hold
 
 
 @lru_cache(maxsize=64)
@@ -318,22 +315,8 @@ def _within(times: np.ndarray, duration: float) -> np.ndarray:
     return np.concatenate([[0.0], np.unique(times[(times > 0.0) & (times < duration)]), [duration]])
 
 
-def _made_of(path: object) -> None:
-    if not isinstance(path, Path):
-        raise InputError(f"path.path = {ranges.shown(path)}; must be a path")
-
-
-def _points(points: object) -> tuple[tuple[float, float, float], ...]:
-    """Points as they are kept."""
-    given = ranges.listed("path.points", points, "at least two points [x, y, z]", 2)
-    return tuple(_point(f"path.points[{i}]", point) for i, point in enumerate(given))
-
-
-def _point(key: str, point: object) -> tuple[float, float, float]:
-    given = ranges.listed(key, point, "three lengths x, y, z", 3, 3)
-    x, y, z = (ranges.checked(key, value, ranges.LENGTH) for value in given)
-    return x, y, z
-
-
-def _times(key: str, times: tuple, allowed: ranges.Range) -> tuple[float, ...]:
-    return tuple(ranges.checked(f"{key}[{i}]", time, allowed) for i, time in enumerate(times))
+def _hold(made: Part | Moved | Braking) -> None:
+    """Check a path made of another."""
+    if not isinstance(made.path, Path):
+        raise InputError(f"path.path = {ranges.shown(made.path)}; must be a path")
+    hold_declared(made, "path")

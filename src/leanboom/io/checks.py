@@ -13,27 +13,16 @@ from pydantic import TypeAdapter, ValidationError
 
 from leanboom.components.cylinders import Connection
 from leanboom.components.linkages import Linkage, Telescope
-from leanboom.components.paths import miscounted
+from leanboom.components.paths import PATHS
 from leanboom.components.pumps import EfficiencyMap, Pump
-from leanboom.io.schema import (
-    AREAS,
-    PATHS,
-    SIZE_KEYS,
-    AngleRange,
-    BodyKeys,
-    CylinderKeys,
-    LengthRange,
-    LinesKeys,
-    Start,
-)
+from leanboom.io.schema import AREAS, SIZE_KEYS, BodyKeys, CylinderKeys
 from leanboom.io.yaml_source import Data, Key, Source
-from leanboom.model.machine import Machine
-from leanboom.model.task import Lines, Spline, faults
+from leanboom.model.machine import JOINTS, AngleRange, LengthRange, Machine
+from leanboom.model.task import Start, faults
 from leanboom.quantities.declarations import Section, Variant
 from leanboom.quantities.types import Cutoff
 from leanboom.quantities.units import is_bare
 
-JOINTS = ("base", "lift", "tilt", "extension")
 _CYLINDER = Annotated[Any, Section(CylinderKeys)]
 _BODY = Annotated[Any, Section(BodyKeys)]
 _PUMP = Annotated[Any, Section(Pump, stated=True)]
@@ -221,20 +210,9 @@ def _check_linkage(source: Source, key: Key, keys: Any, joint: tuple[float, floa
 def check_task(source: Source, machine: Machine | None) -> None:
     """Note what does not fit together in a task file, or in the task and its machine."""
     data = source.data if isinstance(source.data, dict) else {}
-    keys = _part(Annotated[Any, Variant(PATHS)], data.get("path"))
-    made = None
-    if isinstance(keys, LinesKeys):
-        if fault := miscounted(keys.points, keys.durations):
-            source.add(("path", "durations"), *fault)
-        else:
-            made = Lines(keys.points, keys.durations)
-    elif keys is not None:
-        if fault := miscounted(keys.points, keys.times, spline=True):
-            source.add(("path", "times"), *fault)
-        else:
-            made = Spline(keys.points, keys.times)
     if machine is None:
         return
-    start, smooth = _part(Annotated[Any, Start()], data.get("start")), _part(Cutoff, data.get("smooth"))
+    made = _part(Annotated[Any, Variant(PATHS)], data.get("path"))
+    start, smooth = _part(Start, data.get("start")), _part(Cutoff, data.get("smooth"))
     for key, _, what in faults(made, machine, "middle" if start is None else start, smooth):
         source.refuse(key, what)

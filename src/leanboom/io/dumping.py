@@ -12,13 +12,14 @@ from pydantic import ValidationError
 
 from leanboom.components.cylinders import Cylinder
 from leanboom.components.linkages import LINKAGES
+from leanboom.components.paths import PATHS
 from leanboom.components.valves import VALVES
 from leanboom.errors import InputError
 from leanboom.io.checks import areas, stroke
 from leanboom.io.schema import SIZE_KEYS, CylinderKeys, MachineKeys, TaskKeys
 from leanboom.io.yaml_source import STATUSES, Key, dotted, scalar, shortened
 from leanboom.model.machine import Joint, Machine, Provenance
-from leanboom.model.task import Spline, Task, written
+from leanboom.model.task import Task, written
 from leanboom.quantities.declarations import Section, Variant, declared
 from leanboom.quantities.ranges import Rule
 from leanboom.quantities.units import KINDS, parse, write
@@ -57,7 +58,7 @@ def task_text(task: Task, machine: str) -> str:
         "name": task.name,
         "machine": machine,
         "payload": task.payload,
-        "path": {"type": "spline" if isinstance(path, Spline) else "lines", **asdict(path)},
+        "path": Variant(PATHS).section_of(path).data(path),
         "start": task.start,
         "smooth": task.smooth,
     }

@@ -7,9 +7,10 @@ imported when a file is read, not before.
 
 from __future__ import annotations
 
+from collections.abc import Sized
 from dataclasses import asdict, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from leanboom.components.cylinders import Cylinder
 from leanboom.errors import InputError
@@ -68,8 +69,8 @@ def load_task(name_or_path: str | Path, *, start: str | float | None = None) -> 
         InputError: There is no such task, or its file or its machine's file has problems; all of them are named.
     """
     from leanboom.io.checks import check_task
-    from leanboom.io.schema import LinesKeys, TaskKeys
-    from leanboom.model.task import Lines, Spline, Task
+    from leanboom.io.schema import TaskKeys
+    from leanboom.model.task import Task
 
     path, source = _open("task", name_or_path)
     keys = _section(TaskKeys, source)
@@ -77,15 +78,11 @@ def load_task(name_or_path: str | Path, *, start: str | float | None = None) -> 
     check_task(source, machine)
     name = _name(keys, source, path)
     source.report(*others)
-    assert isinstance(keys, TaskKeys) and machine is not None  # else reported
-    given = keys.path
-    tool_path = (
-        Lines(given.points, given.durations) if isinstance(given, LinesKeys) else Spline(given.points, given.times)
-    )
+    assert keys is not None and machine is not None  # else reported
     return Task(
         name=name,
         machine=machine,
-        path=tool_path,
+        path=keys.path,
         payload=keys.payload,
         start=keys.start if start is None else start,
         smooth=keys.smooth,
@@ -184,7 +181,7 @@ def _machine(source: Source, path: Path) -> Machine:
     check_machine(source)
     name = _name(keys, source, path)
     source.report()
-    assert isinstance(keys, MachineKeys)  # else reported
+    assert keys is not None  # else reported
     ranges = {joint: ends for joint, ends in asdict(keys.joints).items() if ends is not None}
     given = {key: value for key, value in asdict(keys.simulation).items() if value is not None}
     return Machine(
@@ -254,6 +251,8 @@ def _section(made: type, source: Source) -> Any:
             key = (*key, context["key"]) if context["key"] else key
             if line["type"] == "missing":
                 source.add(key, " is missing", context["allowed"])
+            elif line["type"] == "counted":
+                source.add(key, f" has {len(cast(Sized, source.value(key)))} entries", context["allowed"])
             elif line["type"] == "unknown":
                 source.add(key, " is not a key here", f"valid keys: {context['allowed']}")
             elif key and key[-1] == "[key]":  # pydantic's word for a wrong key of a mapping

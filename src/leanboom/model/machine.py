@@ -15,11 +15,24 @@ from typing import Annotated
 from leanboom.components.circuits import Circuit
 from leanboom.components.cylinders import Cylinder
 from leanboom.components.pumps import Pump
-from leanboom.components.valves import Drive, Valve
+from leanboom.components.valves import VALVES, Drive, Valve
 from leanboom.errors import InputError
-from leanboom.quantities.declarations import hold_declared
-from leanboom.quantities.rules import Word
-from leanboom.quantities.types import Bool, Gravity, Inertia, Length, Mass, Number, PositiveLength, Share, Velocity
+from leanboom.quantities import ranges
+from leanboom.quantities.declarations import Section, Variant, declared, hold_declared
+from leanboom.quantities.rules import Listing, Word, ordered
+from leanboom.quantities.types import (
+    Angle,
+    Bool,
+    Gravity,
+    Inertia,
+    LeastLength,
+    Length,
+    Mass,
+    PositiveLength,
+    Share,
+    Velocity,
+    Words,
+)
 
 STANDARD_GRAVITY = 9.80665  # g_n, CGPM 1901 [m/s^2]
 
@@ -47,20 +60,45 @@ class Geometry:
         hold_declared(self, "geometry")
 
 
+AngleRange = Annotated[
+    tuple[Angle, Angle], Listing("two angles, lower and upper end", ranges.ANGLE, 2, 2, order=ordered)
+]
+LengthRange = Annotated[
+    tuple[LeastLength, LeastLength],
+    Listing("two lengths, lower and upper end", ranges.LEAST_LENGTH, 2, 2, order=ordered),
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Joints:
+    """Ranges of the joints, lower and upper end, in their order."""
+
+    base: AngleRange | None = None
+    """Slewing angle, from x towards y; only if the machine slews."""
+    lift: AngleRange
+    """Boom against the horizontal."""
+    tilt: AngleRange
+    """Outer boom against the boom, negative when folded down."""
+    extension: LengthRange
+    """How far the tool is telescoped out."""
+
+
+JOINTS = tuple(declared(Joints))
+
+
 @dataclass(frozen=True, slots=True)
 class Joint:
     """One joint and its range: [rad], or [m] for the extension."""
 
-    name: str  # base, lift, tilt, extension
-    lower: Number
-    upper: Number
+    name: str  # one of JOINTS
+    lower: float
+    upper: float
 
     def __post_init__(self) -> None:
-        hold_declared(self, f"joints.{self.name}")
-        if self.lower >= self.upper:
-            raise InputError(
-                f"joints.{self.name} = [{self.lower:.6g}, {self.upper:.6g}]; the lower end must be below the upper end"
-            )
+        ranges.one_of("joint", self.name, JOINTS)
+        ends = declared(Joints)[self.name].rule.kept(f"joints.{self.name}", (self.lower, self.upper))
+        for name, end in zip(("lower", "upper"), ends, strict=True):
+            object.__setattr__(self, name, end)
 
 
 _CARRIER = Word("base", "lift", "tilt", column="base", boom="lift", outer="tilt", extension="tilt")
@@ -102,8 +140,9 @@ class Machine:
     """A crane. Sequences are in joint order: base (if slewing), lift, tilt, extension."""
 
     name: str
-    description: str
-    geometry: Geometry
+    description: Words
+    geometry: Annotated[Geometry, Section(Geometry)]
+    """Lengths of the boom in its own vertical plane."""
     joints: tuple[Joint, ...]
     cylinders: tuple[Cylinder, ...]
     bodies: tuple[Body, ...]
@@ -111,19 +150,22 @@ class Machine:
     """Where a payload hangs: from the tilt joint along the extension's axis, at zero extension."""
     payload_above: Length
     """Perpendicular to it, upwards."""
-    valve: Valve
+    valve: Annotated[Valve, Variant(VALVES)]
+    """The valves of all cylinders."""
     pump: Pump
     driven_velocity: Velocity  # epsilon of eq. (41)
     """Slower cylinders count as not driven."""
-    coriolis: bool = False  # centrifugal and Coriolis forces in planning (omitted in both papers)
-    slewing_inertia: bool = False  # whether planning adds M11 q1'' to the base force (constant in the paper)
+    coriolis: Bool = False  # omitted in both papers
+    """Whether planning counts centrifugal and Coriolis forces."""
+    slewing_inertia: Bool = False  # M11 q1'', constant in the paper
+    """Whether planning counts the inertia about the slewing axis in the base cylinder's force."""
     gravity: Gravity = STANDARD_GRAVITY
     circuit: Circuit = Circuit()
     provenance: tuple[Provenance, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         hold_declared(self, "")
-        wanted = ("base", "lift", "tilt", "extension") if self.geometry.slewing else ("lift", "tilt", "extension")
+        wanted = JOINTS if self.geometry.slewing else JOINTS[1:]
         for key in ("joints", "cylinders"):
             names = tuple(part.name for part in getattr(self, key))
             if names != wanted:

@@ -6,23 +6,55 @@ Paths are given in the machine's frame (x forward, y left, z up) and always star
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated, Any
 
 import numpy as np
 
-from leanboom.components.paths import Braking, Lines, Moved, Part, Path, Spline
+from leanboom.components.paths import PATHS, Braking, Lines, Moved, Part, Path, Spline
 from leanboom.errors import InputError
 from leanboom.model.machine import Machine
 from leanboom.quantities import ranges
-from leanboom.quantities.units import KINDS, slip
+from leanboom.quantities.declarations import Variant, hold_declared
+from leanboom.quantities.ranges import Refused, Rule
+from leanboom.quantities.types import Cutoff, LeastMass
+from leanboom.quantities.units import KINDS, Kind, slip
 
 __all__ = ["Braking", "Lines", "Moved", "Part", "Path", "Reference", "Spline", "Start", "Task", "sample", "written"]
 
 STARTS = ("smallest", "middle", "best")
-START = f"must be {', '.join(STARTS)}, or a length of the redundant cylinder such as 0.3 m"
 FILTERED = 0.02  # [s], the shortest path with enough samples for a low pass
 
 Key = tuple[str | int, ...]  # where a value is in a task file
-Start = str | float  # "smallest" | "middle" | "best" | length of the redundant cylinder [m]
+
+
+class _Start(Rule):
+    """A word of `STARTS`, or a length."""
+
+    _allowed = f"must be {', '.join(STARTS)}, or a length of the redundant cylinder such as 0.3 m"
+
+    @property
+    def kind(self) -> Kind:
+        """What it measures, if it is no word."""
+        return KINDS["length"]
+
+    def check(self, value: Any) -> str | float:
+        """The word, or a length [m]."""
+        if isinstance(value, str) and value in STARTS:
+            return value
+        try:
+            return ranges.LEAST_LENGTH.number(value)
+        except Refused:
+            raise Refused(self.allowed + (slip(value, self.kind) if isinstance(value, str) else "")) from None
+
+    def kept(self, key: str, value: Any) -> str | float:
+        """The word, or a length [m]."""
+        try:
+            return self.check(value)
+        except Refused as error:
+            raise InputError(f"{key} = {ranges.shown(value)}; {error}") from None
+
+
+Start = Annotated[str | float, _Start()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,10 +63,14 @@ class Task:
 
     name: str
     machine: Machine
-    path: Path
-    payload: float = 0.0  # [kg]
+    path: Annotated[Path, Variant(PATHS)]
+    """What the tool does."""
+    payload: LeastMass = 0.0
+    """Hangs at the machine's payload point."""
     start: Start = "smallest"
-    smooth: float | None = None  # low-pass cut-off for the judged redundant motion [Hz]; None: none
+    """Where the redundant cylinder starts: smallest, middle, best, or a length."""
+    smooth: Cutoff | None = None
+    """Low-pass cut-off for the redundant motion before it is judged; none if not given."""
     source: str = field(default="", repr=False, compare=False)  # the file's text
 
     def __post_init__(self) -> None:
@@ -42,13 +78,7 @@ class Task:
             raise InputError(f"machine = {ranges.shown(self.machine)}; must be a machine: leanboom.load_machine(NAME)")
         if not isinstance(self.path, Path):
             raise InputError(f"path = {ranges.shown(self.path)}; must be a path such as leanboom.model.task.Lines")
-        ranges.hold(self, "", payload=ranges.LEAST_MASS)
-        try:
-            object.__setattr__(self, "start", start_of(self.start))
-        except ValueError as error:
-            raise InputError(f"start = {ranges.shown(self.start)}; {error}") from None
-        if self.smooth is not None:
-            ranges.hold(self, "", smooth=ranges.CUTOFF)
+        hold_declared(self, "")
         if found := faults(self.path, self.machine, self.start, self.smooth):
             raise InputError(
                 "\n".join(f"{'.'.join(map(str, key))} = {ranges.shown(v)}; {what}" for key, v, what in found)
@@ -67,23 +97,6 @@ class Task:
             f"Task({self.name}: {self.machine.name}, {type(path).__name__.lower()}{points} in {path.duration:g} s, "
             f"payload {self.payload:g} kg, start {start}" + (f", smooth {self.smooth:g} Hz)" if self.smooth else ")")
         )
-
-
-def start_of(start: object) -> Start:
-    """Where the redundant cylinder starts: a word of `STARTS`, or a length [m].
-
-    Args:
-        start: The word, a number in [m] or a text such as "0.3 m".
-
-    Raises:
-        ValueError: It is none of these; the text says what it must be.
-    """
-    if isinstance(start, str) and start in STARTS:
-        return start
-    try:
-        return ranges.LEAST_LENGTH.number(start)
-    except ValueError:
-        raise ValueError(START + (slip(start, KINDS["length"]) if isinstance(start, str) else "")) from None
 
 
 def faults(path: Path | None, machine: Machine, start: Start, smooth: float | None) -> list[tuple[Key, object, str]]:

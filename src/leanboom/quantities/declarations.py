@@ -55,12 +55,16 @@ def _rule(hint: Any) -> Rule | None:
 @cache
 def meanings(kind: type) -> dict[str, str]:
     """What the fields of a dataclass mean, by name: the text below each in its source."""
-    parts = getattr(kind, "made_of", ())
-    if parts:
-        return {name: text for part in parts for name, text in meanings(part).items()}
+    prefix, parts = getattr(kind, "prefix", ""), getattr(kind, "made_of", ())
+    found = {name.removeprefix(prefix): text for part in parts for name, text in meanings(part).items()}
+    return found | _texts(kind)
+
+
+def _texts(kind: type) -> dict[str, str]:
+    """The texts below the fields of a dataclass in its source."""
     try:
         body = ast.parse(dedent(getsource(kind))).body[0]
-    except OSError:  # typed at a prompt
+    except (OSError, TypeError):  # typed at a prompt, or made of others
         return {}
     assert isinstance(body, ast.ClassDef)
     return {
@@ -97,6 +101,25 @@ def derived(
                 kept.append((each.name, kind, field(default=default)))
     shared = {"made_of": parts, "__doc__": parts[-1].__doc__}
     return make_dataclass(name, kept, namespace=shared, frozen=True, slots=True, kw_only=True)
+
+
+def file_of(part: type, prefix: str = "") -> Callable[[type], Any]:
+    """A decorator: a dataclass of keys, of which those of type `Any` are fields of another as they are declared there.
+
+    Args:
+        part: The other dataclass.
+        prefix: What the names of its fields have before the key.
+    """
+
+    def made(keys: type) -> Any:
+        hints = get_type_hints(part, include_extras=True)
+        for name, hint in keys.__annotations__.items():
+            if hint == "Any":
+                keys.__annotations__[name] = hints[prefix + name]
+        keys.made_of, keys.prefix = (part,), prefix  # type: ignore[attr-defined]
+        return dataclass(frozen=True, slots=True, kw_only=True)(keys)
+
+    return made
 
 
 def hold_declared(instance: Any, key: str) -> None:
@@ -187,7 +210,8 @@ class Section(Rule):
                 elif found["type"] != "missing":
                     lines.append(line(f"is refused: {found['msg']}", found["loc"], found["input"]))
         except InputError as error:  # its values do not fit together
-            lines.append(line(str(error), (), value))
+            lines += [line(each.allowed, (each.key.rpartition(".")[2],), None, "counted") for each in error.problems]
+            lines = lines or [line(str(error), (), value)]
         if lines:
             places = {name: i for i, name in enumerate(known)}
             lines.sort(key=lambda each: places.get(each["loc"][0], len(places)) if each.get("loc") else -1)  # type: ignore

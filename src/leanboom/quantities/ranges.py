@@ -118,6 +118,7 @@ class Range(Rule):
     least: float | None = None
     most: float | None = None
     any_bare: bool = False  # bare numbers of any size
+    in_python: Range | None = None  # what Python may hand over, where files hold less
 
     @property
     def kind(self) -> Kind:
@@ -169,7 +170,7 @@ class Range(Rule):
 
     def kept(self, key: str, value: Any) -> float:
         """A quantity handed over in Python, in SI units."""
-        return checked(key, value, self)
+        return checked(key, value, self.in_python or self)
 
     def described(self, schema: dict[str, Any]) -> dict[str, Any]:
         """Text with a unit, or a bare number."""
@@ -306,10 +307,8 @@ FREQUENCY = Range("frequency", above=0)
 CUTOFF = Range("frequency", least=0.01, most=240)
 MOMENT = 1e-4  # [s], shorter segments of a path are jumps
 LONGEST = 3600.0  # [s], of a file's segment
-DURATION = Range("time", least=MOMENT)
-FILE_DURATION = Range("time", least=MOMENT, most=LONGEST)
-TIME = Range("time", least=0)
-FILE_TIME = Range("time", least=0, most=LONGEST)
+DURATION = Range("time", least=MOMENT, most=LONGEST, in_python=Range("time", least=MOMENT))
+TIME = Range("time", least=0, most=LONGEST, in_python=Range("time", least=0))
 STAGE = Range("time", least=1e-3, most=1.0)  # of a plan
 PUMP_TIME = Range("time", above=0, most=10)
 DELAY = Range("time", least=0, most=10)

@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from typing import Any
 from unicodedata import combining, normalize
 
-from leanboom.errors import InputError
+from leanboom.errors import InputError, Problem
 from leanboom.quantities.ranges import Range, Refused, Rule, listed, shown
 from leanboom.quantities.units import Kind
 
@@ -63,7 +63,7 @@ class Listing(Rule):
         try:
             return self.finish(kept)
         except Refused as error:
-            raise InputError(f"{key} = {shown(list(kept))}; {error}") from None
+            raise InputError(f"{key} = [{', '.join(map(shown, kept))}]; {error}") from None
 
     def described(self, schema: dict[str, Any]) -> dict[str, Any]:
         """As many items as allowed."""
@@ -152,6 +152,20 @@ class Name(Rule):
     def described(self, schema: dict[str, Any]) -> dict[str, Any]:
         """The same as a pattern."""
         return {"type": "string", "pattern": f"^{self.pattern}$"}
+
+
+def counted(key: str, values: tuple[Any, ...], count: int, why: str) -> None:
+    """Raise InputError unless there are so many values.
+
+    Args:
+        key: What the message calls them.
+        values: The values.
+        count: How many there must be.
+        why: The same in words.
+    """
+    if len(values) != count:
+        text, allowed = f"{key} has {len(values)} entries", f"must have {count}, {why}"
+        raise InputError(f"{text}; {allowed}", (Problem("", None, key, None, allowed, text),))
 
 
 def rising(values: tuple[float, ...]) -> tuple[float, ...]:
