@@ -8,14 +8,16 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import pi
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 from typer.testing import CliRunner
 
 from leanboom.cli.app import app
+from leanboom.components.circuits import Circuit
 from leanboom.components.linkages import LINKAGES, Linkage
 from leanboom.components.paths import PATHS, Lines, Spline
-from leanboom.components.valves import VALVES, IndependentMetering, Valve, driven
+from leanboom.components.valves import METERING, VALVES, Edges, IndependentMetering, Valve, driven
 from leanboom.errors import InputError
 from leanboom.evaluation.evaluate import evaluate
 from leanboom.io import starter
@@ -50,12 +52,25 @@ class Screw(Linkage):
 class Throttled(Valve):
     """A valve that leaves the same pressure in every chamber that empties."""
 
+    circuit: ClassVar[Circuit] = METERING
+    controller: ClassVar[str] = "adaptive-robust"
+    separate: ClassVar[bool] = True
+
     remaining: Pressure
     """In the chamber that empties."""
 
     def steady(self, cylinder, pump):
         """Flow areas and pressure lines of a cylinder on this valve."""
         return driven(cylinder, pump, self.remaining, self.remaining, 0.0)
+
+    def edges(self, cylinder, circuit):
+        """Compensated edges, as large as the circuit says."""
+        k = circuit.edge_flow / circuit.edge_drop**0.5
+        return Edges(True, circuit.edge_drop, k, k, k, k)
+
+    def resting(self, pump, circuit):
+        """The same pressure [Pa]."""
+        return self.remaining
 
 
 @pytest.fixture
@@ -162,10 +177,23 @@ def test_without_a_name_they_are_not_written():
     assert str(caught.value) == "type = Throttled; must be one of mobile_valve, independent_metering"
 
 
-def test_the_simulation_says_which_valves_it_knows(tmp_path):
+def test_a_valve_from_outside_is_simulated():
+    """By its edges and under its own controller; independent metering that leaves the same pressures does the same."""
+    task = replace(load_task("forwarder-vertical"), path=Lines(((5.5, 0.0, 4.0), (5.5, 0.0, 3.9)), (1.0,)))
+    first, second = (
+        simulate(each, still(each), pump="cp")
+        for valve in (Throttled(3e5), IndependentMetering(0.0, 3e5))
+        for each in [replace(task, machine=replace(task.machine, valve=valve, circuit=METERING))]
+    )
+    assert first.controller == "AdaptiveRobust" and first.energy > 0.0
+    assert first.energy == second.energy and first.tool.tolist() == second.tool.tolist()
+
+
+def test_a_valve_that_says_nothing_of_its_edges_is_not_simulated(monkeypatch):
+    monkeypatch.delattr(Throttled, "edges")
     task = load_task("forwarder-vertical")
     task = replace(task, machine=replace(task.machine, valve=Throttled(0.0)))
-    with pytest.raises(InputError, match="^valve = Throttled; the simulation knows the edges of mobile_valve, ind"):
+    with pytest.raises(InputError, match="^valve = Throttled; has no `edges`, by which the simulation knows a valve$"):
         simulate(task, still(task), pump="cp")
 
 

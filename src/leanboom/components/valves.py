@@ -1,7 +1,7 @@
 """Valves: what the steady state of a cylinder takes from its valve and connection.
 
-A valve is a frozen dataclass of its quantities with the steady state of a cylinder on it. Its line in `VALVES` gives it
-its name in machine files, which are read, written and described by its fields.
+A valve is a frozen dataclass of its quantities with the steady state of a cylinder on it, and for the simulation its
+edges. Its line in `VALVES` gives it its name in machine files, which are read, written and described by its fields.
 
 For every valve the driven chamber's pressure is affine in the force: extending p_A = gain_out F + back_out, retracting
 p_B = -gain_in F + back_in. `Drive` holds these four numbers and the two flow areas of a cylinder.
@@ -11,13 +11,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from math import sqrt
 from typing import ClassVar
 
 from leanboom.components.circuits import Circuit
 from leanboom.components.cylinders import Connection, Cylinder
 from leanboom.components.pumps import Pump
+from leanboom.errors import InputError
 from leanboom.quantities.declarations import hold_declared
 from leanboom.quantities.types import Coefficient, Pressure
+
+LEAST_COEFFICIENT = 1e-3  # of eqs. (23)-(24): a smaller one would ask for an endless throttle
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,13 +36,26 @@ class Drive:
     back_in: float  # p_B at zero force, retracting [Pa]
 
 
+@dataclass(frozen=True, slots=True)
+class Edges:
+    """Flow coefficients of a cylinder's open valve edges [m^3/(s sqrt(Pa))], and the drop that compensators keep."""
+
+    compensated_return: bool  # whether edges to the tank are compensated, as in independent metering
+    drop: float  # over a compensated edge [Pa]
+    supply: float  # K_vPA and K_vPB
+    out_b: float  # K_vBT, or K_vBP of a differential spool
+    out_a: float  # K_vAT
+    make_up: float  # of an anti-cavitation valve
+
+
 class Valve(ABC):
     """The valves of all cylinders."""
 
     __slots__ = ()
 
     circuit: ClassVar[Circuit] = Circuit()  # what the simulation takes where a machine file says nothing
-    controller: ClassVar[str] = "dead-zone-inverse"  # of the papers, a name of `simulation.registry.CONTROLLERS`
+    controller: ClassVar[str] = "dead-zone-inverse"  # a name of `simulation.registry.CONTROLLERS`
+    separate: ClassVar[bool] = False  # whether each of a cylinder's ports has a spool and a command of its own
 
     def __post_init__(self) -> None:
         hold_declared(self, "valve")
@@ -46,6 +63,14 @@ class Valve(ABC):
     @abstractmethod
     def steady(self, cylinder: Cylinder, pump: Pump) -> Drive:
         """Flow areas and pressure lines of a cylinder on this valve."""
+
+    def edges(self, cylinder: Cylinder, circuit: Circuit) -> Edges:
+        """Its edges in the simulation, sized so that they settle on the steady states of `steady`."""
+        raise InputError(f"valve = {type(self).__name__}; has no `edges`, by which the simulation knows a valve")
+
+    def resting(self, pump: Pump, circuit: Circuit) -> float:
+        """Pressure of the less loaded chamber of a cylinder at rest [Pa]."""
+        return pump.tank_pressure + circuit.counter_pressure
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +97,18 @@ class MobileValve(Valve):
             differential = (self.regenerative_ratio**2 * b * b * a / rod**3 + a / rod) * self.compensator_drop
         return driven(cylinder, pump, back_rod, back_piston, differential)
 
+    def edges(self, cylinder: Cylinder, circuit: Circuit) -> Edges:
+        """Throttles to the tank whose back pressures are those of eqs. (23)-(24)."""
+        drop = max(self.compensator_drop, 1.0)
+        k = circuit.edge_flow / sqrt(drop)
+        ratio = cylinder.piston_area / cylinder.rod_side_area
+        # Coeff. = (K_in A_out / (K_out A_in))^2 of eqs. (23)-(24), solved for K_out.
+        out_b = k / ratio / sqrt(max(self.extend_coefficient, LEAST_COEFFICIENT))
+        out_a = k * ratio / sqrt(max(self.retract_coefficient, LEAST_COEFFICIENT))
+        if cylinder.connection is Connection.DIFFERENTIAL:
+            out_b = k / max(self.regenerative_ratio, LEAST_COEFFICIENT)  # K_vPA / K_vBP of eq. (27)
+        return Edges(False, drop, k, out_b, out_a, k)
+
 
 METERING = Circuit(
     dead_volume=0.5e-3, line_volume=1e-3, edge_flow=80e-3 / 60, edge_drop=0.5e6, spool_bandwidth=25.0, delay=0.002,
@@ -86,6 +123,7 @@ class IndependentMetering(Valve):
 
     circuit: ClassVar[Circuit] = METERING
     controller: ClassVar[str] = "adaptive-robust"
+    separate: ClassVar[bool] = True
 
     back_pressure: Pressure  # 0 in the 3-DOF paper
     """Pressure in the chamber that empties, in planning."""
@@ -95,6 +133,15 @@ class IndependentMetering(Valve):
     def steady(self, cylinder: Cylinder, pump: Pump) -> Drive:
         """Flow areas and pressure lines of eqs. (34)-(35): a chosen pressure in the chamber that empties."""
         return driven(cylinder, pump, self.back_pressure, self.back_pressure, 0.0)
+
+    def edges(self, cylinder: Cylinder, circuit: Circuit) -> Edges:
+        """Compensated edges on both sides."""
+        k = circuit.edge_flow / sqrt(circuit.edge_drop)
+        return Edges(True, circuit.edge_drop, k, k, k, k)
+
+    def resting(self, pump: Pump, circuit: Circuit) -> float:
+        """The pressure that is chosen for the chamber that empties [Pa]."""
+        return self.offside_pressure
 
 
 def driven(cylinder: Cylinder, pump: Pump, back_rod: float, back_piston: float, differential: float) -> Drive:

@@ -29,10 +29,9 @@ import math
 
 import numpy as np
 
-from leanboom.components.valves import IndependentMetering
 from leanboom.errors import InputError
 from leanboom.model import crane as cranes
-from leanboom.simulation import plant, valve_sections
+from leanboom.simulation import plant
 from leanboom.simulation.controllers import Rig, Sample
 
 K1, K2, K3 = 6.0, 8.0, 20.0  # [1/s]
@@ -76,14 +75,14 @@ class _Function:
         machine = crane.machine
         cylinder, joint = machine.cylinders[index], machine.joints[index]
         valve = machine.valve
-        if not isinstance(valve, IndependentMetering):
+        if not valve.separate:
             raise InputError("controller = adaptive-robust; drives independent metering, the machine has another valve")
         self._a, self._b = cylinder.piston_area, cylinder.rod_side_area
         self._travel = plant.retracted(cylinder, joint.lower, joint.upper)[1]
         self._dead, self._bulk = machine.circuit.dead_volume, machine.circuit.bulk_modulus
-        self._rest, self._zone = valve.offside_pressure, machine.circuit.dead_zone
-        section = valve_sections.section(machine, cylinder)
-        self._full = section.supply * math.sqrt(section.drop)  # flow of an open edge [m^3/s]
+        self._rest, self._zone = valve.resting(machine.pump, machine.circuit), machine.circuit.dead_zone
+        edges = valve.edges(cylinder, machine.circuit)
+        self._full = edges.supply * math.sqrt(edges.drop)  # flow of an open edge [m^3/s]
         self._step, self._load = step, 0.0
         self._most = machine.pump.max_pressure * self._a
         self._wanted: tuple[float, float] | None = None  # pressures wanted last, smoothed

@@ -31,7 +31,7 @@ from typing import Protocol
 
 import numpy as np
 
-from leanboom.components.valves import Connection, IndependentMetering
+from leanboom.components.valves import Connection
 from leanboom.errors import InputError
 from leanboom.model.crane import Crane
 from leanboom.simulation import plant as plants
@@ -98,7 +98,7 @@ class DeadZoneInverse:
     """
 
     def __init__(self, rig: Rig):
-        if isinstance(rig.plant.crane.machine.valve, IndependentMetering):
+        if rig.plant.crane.machine.valve.separate:
             raise InputError(
                 "controller = dead-zone-inverse; drives mobile valves, the machine has independent metering"
             )
@@ -206,9 +206,7 @@ def resting(plant: Plant, load: np.ndarray) -> np.ndarray:
     """
     machine, layout = plant.crane.machine, plant.layout
     state = np.zeros(layout.size)
-    rest = machine.pump.tank_pressure + machine.circuit.counter_pressure
-    if isinstance(machine.valve, IndependentMetering):
-        rest = machine.valve.offside_pressure
+    rest = machine.valve.resting(machine.pump, machine.circuit)
     for i, (cylinder, force) in enumerate(zip(machine.cylinders, load, strict=True)):
         area_a, area_b = cylinder.piston_area, cylinder.rod_side_area
         low = machine.pump.tank_pressure if cylinder.connection is Connection.SINGLE_ACTING else rest

@@ -290,8 +290,8 @@ def _hydraulics(machine: Machine, moving: Mechanism, a: list, b: list, supply: V
         rate_a.append(change_a)
         rate_b.append(change_b)
         sense.append(flow.sense)
-        short_a = fluid.gate(edges[0]) * np.maximum(section.drop - (supply - a[i]), 0.0)
-        short_b = fluid.gate(edges[2]) * np.maximum(section.drop - (supply - b[i]), 0.0)
+        short_a = fluid.gate(edges[0]) * np.maximum(section.edges.drop - (supply - a[i]), 0.0)
+        short_b = fluid.gate(edges[2]) * np.maximum(section.edges.drop - (supply - b[i]), 0.0)
         starved.append(np.maximum(short_a, short_b))
         taken = taken + flow.pump
         valve_loss = valve_loss + flow.loss

@@ -21,14 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from leanboom.components.valves import Connection, IndependentMetering, MobileValve
-from leanboom.errors import InputError
+from leanboom.components.valves import Connection, Edges
 from leanboom.formulas.fluid import compensated, gate, opening, orifice
 from leanboom.model.machine import Cylinder, Machine
 
 Value = Any  # float, NumPy array or CasADi symbol
-EDGES = ("P-A", "A-T", "P-B", "B-T")
-LEAST_COEFFICIENT = 1e-3  # of eqs. (23)-(24): a smaller one would ask for an endless throttle
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,71 +41,51 @@ class Flows:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """One cylinder's valve: the flow coefficients of its open edges [m^3/(s sqrt(Pa))] and pressures [Pa]."""
+    """One cylinder's valve, and what it stands between."""
 
-    compensated_return: bool  # independent metering
+    edges: Edges
     connection: Connection
-    drop: float  # over a compensated edge
-    supply: float  # K_vPA and K_vPB
-    out_b: float  # K_vBT, or K_vBP of a differential spool
-    out_a: float  # K_vAT
-    make_up: float  # of an anti-cavitation valve
-    back: float  # pressure of the return line
+    back: float  # pressure of the return line [Pa]
 
 
 def section(machine: Machine, cylinder: Cylinder) -> Section:
-    """The section of a cylinder, sized so that it settles on the steady states that planning takes.
+    """The section of a cylinder.
 
     Args:
         machine: The machine, for its valve and circuit.
         cylinder: One of its cylinders.
     """
-    circuit, valve = machine.circuit, machine.valve
-    back = machine.pump.tank_pressure + circuit.counter_pressure
-    if isinstance(valve, IndependentMetering):
-        k = circuit.edge_flow / np.sqrt(circuit.edge_drop)
-        return Section(True, cylinder.connection, circuit.edge_drop, k, k, k, k, back)
-    if not isinstance(valve, MobileValve):
-        kind = type(valve).__name__
-        raise InputError(f"valve = {kind}; the simulation knows the edges of mobile_valve, independent_metering alone")
-    drop = max(valve.compensator_drop, 1.0)
-    k = circuit.edge_flow / np.sqrt(drop)
-    ratio = cylinder.piston_area / cylinder.rod_side_area
-    # Coeff. = (K_in A_out / (K_out A_in))^2 of eqs. (23)-(24), solved for K_out.
-    out_b = k / ratio / np.sqrt(max(valve.extend_coefficient, LEAST_COEFFICIENT))
-    out_a = k * ratio / np.sqrt(max(valve.retract_coefficient, LEAST_COEFFICIENT))
-    if cylinder.connection is Connection.DIFFERENTIAL:
-        out_b = k / max(valve.regenerative_ratio, LEAST_COEFFICIENT)  # K_vPA / K_vBP of eq. (27)
-    return Section(False, cylinder.connection, drop, k, out_b, out_a, k, back)
+    back = machine.pump.tank_pressure + machine.circuit.counter_pressure
+    return Section(machine.valve.edges(cylinder, machine.circuit), cylinder.connection, back)
 
 
-def flows(section: Section, edges: tuple[Value, Value, Value, Value], a: Value, b: Value, supply: Value) -> Flows:
+def flows(section: Section, shares: tuple[Value, Value, Value, Value], a: Value, b: Value, supply: Value) -> Flows:
     """What flows through a section.
 
     Args:
         section: The section.
-        edges: Open shares of P-A, A-T, P-B, B-T.
+        shares: Open shares of P-A, A-T, P-B, B-T.
         a: Pressure of chamber A [Pa].
         b: Pressure of chamber B [Pa].
         supply: Pressure of the supply line [Pa].
     """
-    s = section
-    pa, at, pb, bt = edges
+    s, back = section.edges, section.back
+    pa, at, pb, bt = shares
     into_a = compensated(supply - a, s.drop, s.supply * pa)
-    make_up_a = orifice(s.back - a, s.make_up)
+    make_up_a = orifice(back - a, s.make_up)
     if s.compensated_return:
-        from_a = compensated(a - s.back, s.drop, s.out_a * at)
+        from_a = compensated(a - back, s.drop, s.out_a * at)
     else:
-        from_a = orifice(a - s.back, s.out_a * at)
+        from_a = orifice(a - back, s.out_a * at)
     loss = (supply - a) * into_a + a * from_a - a * make_up_a
     to_a = into_a + make_up_a - from_a
-    if s.connection is Connection.SINGLE_ACTING:  # the rod side breathes from the tank
+    if section.connection is Connection.SINGLE_ACTING:  # the rod side breathes from the tank
         return Flows(to_a, 0.0 * a, into_a, loss, gate(pa) * a)
     into_b = compensated(supply - b, s.drop, s.supply * pb)
-    make_up_b = orifice(s.back - b, s.make_up)
+    make_up_b = orifice(back - b, s.make_up)
     loss = loss + (supply - b) * into_b - b * make_up_b
     sense = np.maximum(gate(pa) * a, gate(pb) * b)
-    if s.connection is Connection.DIFFERENTIAL and not s.compensated_return:
+    if section.connection is Connection.DIFFERENTIAL and not s.compensated_return:
         # Eqs. (25)-(26): chamber B feeds the valve's port P, which stands a compensator's drop above chamber A.
         port = np.maximum(np.minimum(supply - a, s.drop), 0.0)
         from_b = orifice(b - a - port, s.out_b * bt)
@@ -116,7 +93,7 @@ def flows(section: Section, edges: tuple[Value, Value, Value, Value], a: Value, 
         to_a = to_a + from_b
     else:
         from_b = (
-            compensated(b - s.back, s.drop, s.out_b * bt) if s.compensated_return else orifice(b - s.back, s.out_b * bt)
+            compensated(b - back, s.drop, s.out_b * bt) if s.compensated_return else orifice(b - back, s.out_b * bt)
         )
         loss = loss + b * from_b
     return Flows(to_a, into_b + make_up_b - from_b, into_a + into_b, loss, sense)
@@ -131,8 +108,8 @@ class Spools:
 
     def __init__(self, machine: Machine, step: float):
         circuit = machine.circuit
-        self.independent = isinstance(machine.valve, IndependentMetering)
-        self.count = len(machine.cylinders) * (2 if self.independent else 1)
+        self.separate = machine.valve.separate
+        self.count = len(machine.cylinders) * (2 if self.separate else 1)
         self.delay = max(1, round(circuit.delay / step))  # samples; a controller's answer takes one
         self._dead_zone = circuit.dead_zone
         self._advance, self._drive = _second_order(circuit.spool_bandwidth, step)
@@ -142,12 +119,12 @@ class Spools:
         """Open shares of all edges a sample later, (cylinders x 4,), under commands from -1 to 1 held until then.
 
         Args:
-            command: One a cylinder (mobile valve), or a pair for its ports A and B (independent metering).
+            command: One a cylinder, or a pair for its ports A and B where they are separate.
         """
         self._state = self._advance @ self._state + np.outer(self._drive, command)
         travel = self._state[0]
         into, out = opening(travel, self._dead_zone), opening(-travel, self._dead_zone)
-        if self.independent:
+        if self.separate:
             into, out = into.reshape(-1, 2), out.reshape(-1, 2)
             return np.stack([into[:, 0], out[:, 0], into[:, 1], out[:, 1]], axis=1).ravel()
         return np.stack([into, out, out, into], axis=1).ravel()
