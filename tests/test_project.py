@@ -18,7 +18,7 @@ SOURCES = sorted(PACKAGE.rglob("*.py"))
 MAX_LINES = 500
 MOST_MODULES = 11  # of a folder
 COMPILERS = {"njit", "jit", "vectorize", "guvectorize", "cfunc"}
-HEAVY = ("numba", "casadi", "maptor", "plotly", "pint", "matplotlib")
+HEAVY = ("numba", "casadi", "maptor", "plotly", "pint", "matplotlib", "jinja2")
 
 # In two parts, or this file would be its own first finding.
 HOSTS = (
@@ -169,6 +169,17 @@ def test_every_folder_is_a_chapter_of_few_modules():
     undescribed = [path.name for path in folders if not ast.get_docstring(_tree(path / "__init__.py"))]
     crowded = {path.name: n for path in folders if (n := len(list(path.glob("*.py"))) - 1) > MOST_MODULES}
     assert (undescribed, crowded) == ([], {})
+
+
+def test_markup_of_pages_stands_in_templates_alone():
+    """Where Python builds HTML, one forgotten call lets a text from a file become markup."""
+    found = [
+        f"{path.name}:{node.lineno}"
+        for path in (PACKAGE / "report").glob("*.py")
+        for node in ast.walk(_tree(path))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and re.search(r"</?[a-z]+[ >]", node.value)
+    ]
+    assert found == []
 
 
 def test_importing_the_package_loads_nothing_heavy():

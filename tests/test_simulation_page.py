@@ -8,6 +8,7 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import jinja2
 import numpy as np
 import pytest
 
@@ -17,7 +18,7 @@ from leanboom.evaluation.evaluate import evaluate
 from leanboom.model.outcome import Kind, Outcome
 from leanboom.model.task import Lines
 from leanboom.planning import planner
-from leanboom.report import plan_page, run_folder, simulation_page
+from leanboom.report import plan_page, rendering, run_folder, simulation_page
 from leanboom.simulation import closed_loop
 from leanboom.simulation.events import Event
 from test_simulation import glide
@@ -109,6 +110,23 @@ def test_the_page_is_whole_needs_no_network_and_escapes_names(run):
     assert [line["name"] for line in pressures] == ["planned", "piston side", "rod side"]
     assert [group["title"] for group in data["joints"]] == ["Positions", "Errors", "Piston velocities"]
     assert len(data["cylinders"][0]["charts"]) == 3
+
+
+def test_words_of_methods_controllers_and_events_are_no_markup(run):
+    evil = "<img src=x onerror=alert(1)>"
+    marked = replace(
+        run,
+        controller=evil,
+        motion=replace(run.motion, method=evil),
+        events=(Event(evil, "lift", 1.25, 0.5, evil),),
+        status=Outcome(Kind.INCOMPLETE, evil),
+    )
+    assert "<img" not in simulation_page.page(marked)
+
+
+def test_a_fact_that_a_template_names_and_nobody_gives_is_an_error(run):
+    with pytest.raises(jinja2.UndefinedError, match="'task' is undefined"):
+        rendering.page("simulation", {}, run=run)
 
 
 def test_an_incomplete_run_says_so(run):

@@ -1,11 +1,11 @@
-"""The report's section on energy for who pays for it: an hour's work, its fuel, and where the energy goes."""
+"""Facts on energy for who pays for it: an hour's work, its fuel, and where the energy goes."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from leanboom.evaluation.energy_breakdown import Breakdown, breakdown
+from leanboom.evaluation.energy_breakdown import breakdown
 
 if TYPE_CHECKING:
     from leanboom.evaluation.evaluate import Evaluation
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 ENGINE = 0.35  # assumed efficiency of the diesel engine, from fuel to the pump's shaft
 DIESEL = 36e6  # assumed heating value of a litre of diesel [J]
+LITRE = ENGINE * DIESEL  # energy at the pump's shaft from a litre [J]
 HOUR, KILOWATT_HOUR = 3600.0, 3.6e6  # [s], [J]
 PARTS = {
     "work": ("#14693a", "Work of the cylinders", "moving the crane and its load against gravity, inertia and friction"),
@@ -24,8 +25,18 @@ PARTS = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Energy that goes into one thing, of every motion [J]."""
+
+    colour: str
+    name: str
+    what: str
+    joules: tuple[float, ...]
+
+
 def hourly(plan: Plan) -> str:
-    """What an hour of this motion takes, as a paragraph; empty for a plan that is not solved.
+    """What an hour of this motion takes, as sentences; empty for a plan that is not solved.
 
     Args:
         plan: The plan.
@@ -33,24 +44,18 @@ def hourly(plan: Plan) -> str:
     if not plan.solved:
         return ""
     mine = _per_hour(plan.evaluation, plan.pump)
-    times = HOUR / plan.task.duration
-    begin = (
-        f"<strong>In an hour.</strong> Driven {times:.0f} times an hour, path after path without a pause, the plan "
-        f"takes {_amounts(mine)}"
+    text = (
+        f"Driven {HOUR / plan.task.duration:.0f} times an hour, path after path without a pause, the plan takes "
+        f"{_amounts(mine)}"
     )
     if plan.saving() is not None and plan.baseline is not None:
         theirs = _per_hour(plan.baseline, plan.pump)
         less = theirs - mine
-        begin += (
-            f", the pseudo-inverse {_amounts(theirs)}: {abs(less) / _LITRE:.2g} l {'less' if less >= 0 else 'more'}"
-        )
+        text += f", the pseudo-inverse {_amounts(theirs)}: {abs(less) / LITRE:.2g} l {'less' if less >= 0 else 'more'}"
     return (
-        f"<p>{begin}. Assumed: all of it comes from a diesel engine with {100 * ENGINE:.0f} % efficiency and "
-        f"{DIESEL / 1e6:.0f} MJ in a litre; the ways between the paths, idling and travel are not counted.</p>"
+        f"{text}. Assumed: all of it comes from a diesel engine with {100 * ENGINE:.0f} % efficiency and "
+        f"{DIESEL / 1e6:.0f} MJ in a litre; the ways between the paths, idling and travel are not counted."
     )
-
-
-_LITRE = ENGINE * DIESEL  # energy at the pump's shaft from a litre [J]
 
 
 def _per_hour(judged: Evaluation, pump: str) -> float:
@@ -59,7 +64,7 @@ def _per_hour(judged: Evaluation, pump: str) -> float:
 
 
 def _amounts(energy: float) -> str:
-    return f"{energy / KILOWATT_HOUR:.2f} kWh, about {energy / _LITRE:.2g} l of diesel"
+    return f"{energy / KILOWATT_HOUR:.2f} kWh, about {energy / LITRE:.2g} l of diesel"
 
 
 def per_hour(judged: Evaluation, pump: str) -> str:
@@ -69,56 +74,21 @@ def per_hour(judged: Evaluation, pump: str) -> str:
         judged: The motion.
         pump: "ls" or "cp".
     """
-    return f"{_per_hour(judged, pump) / _LITRE:.2g} l"
+    return f"{_per_hour(judged, pump) / LITRE:.2g} l"
 
 
-def parts(plan: Plan) -> str:
-    """Stacked bars and a table of where the energy goes, plan and pseudo-inverse beside each other.
+def parts(motions: dict[str, Evaluation], pump: str) -> tuple[list[tuple[str, float]], list[Part]]:
+    """Where the energy of motions goes, those beside each other that follow the path.
 
     Args:
-        plan: The plan.
+        motions: The motions by their names.
+        pump: "ls" or "cp".
+
+    Returns:
+        Name and whole energy [J] of each motion, and the parts that are worth showing; none where there is no energy.
     """
-    motions = {"plan" if plan.solved else "plan (not solved)": plan.evaluation}
-    if plan.baseline is not None:
-        motions["pseudo-inverse"] = plan.baseline
-    found = {name: breakdown(judged, plan.pump) for name, judged in motions.items() if judged.followed}
-    most = max((each.total for each in found.values()), default=0.0)
-    if not most > 0.0:
-        return "<p>No energy to break down.</p>"
-    present = [key for key in PARTS if any(asdict(each)[key] > 5e-4 * most for each in found.values())]
-    bars = "".join(
-        f'<div class="bar"><span>{name}</span><span class="track"><span class="stack" style="--share:'
-        f'{each.total / most:.4f}">{_segments(each, present)}</span><span class="amount">{each.total / 1e3:.2f} kJ'
-        "</span></span></div>"
-        for name, each in found.items()
-    )
-    head = "".join(f'<th scope="col" class="n" colspan="2">{name}</th>' for name in found)
-    rows = "".join(_row(key, list(found.values())) for key in present)
-    total = "".join(f'<td class="n">{each.total / 1e3:.2f} kJ</td><td class="n">100 %</td>' for each in found.values())
-    return (
-        f'<figure class="bars">{bars}</figure><div class="scroll"><table class="parts"><thead><tr><th scope="col">Goes '
-        f'into</th>{head}</tr></thead><tbody>{rows}<tr><th scope="row">Energy of the pump</th>{total}</tr></tbody>'
-        "</table></div>"
-    )
-
-
-def _segments(each: Breakdown, present: list[str]) -> str:
-    values = asdict(each)
-    shares = {key: max(values[key], 0.0) / each.total for key in present if each.total > 0.0}
-    return "".join(
-        f'<i style="flex:{share:.5f};background:{PARTS[key][0]}" title="{PARTS[key][1]}"></i>'
-        for key, share in shares.items()
-    )
-
-
-def _row(key: str, found: list[Breakdown]) -> str:
-    colour, name, what = PARTS[key]
-    cells = "".join(
-        f'<td class="n">{asdict(each)[key] / 1e3:.2f} kJ</td>'
-        f'<td class="n">{100.0 * asdict(each)[key] / each.total if each.total else 0.0:.0f} %</td>'
-        for each in found
-    )
-    return (
-        f'<tr><th scope="row"><svg class="square" aria-hidden="true"><rect width="12" height="12" fill="{colour}"/>'
-        f'</svg>{name}<span class="more">{what}</span></th>{cells}</tr>'
-    )
+    found = {name: breakdown(judged, pump) for name, judged in motions.items() if judged.followed}
+    totals = [(name, each.total) for name, each in found.items()]
+    most = max((total for _, total in totals), default=0.0)
+    every = [Part(*texts, tuple(getattr(each, key) for each in found.values())) for key, texts in PARTS.items()]
+    return totals, [part for part in every if most > 0.0 and max(part.joules) > 5e-4 * most]

@@ -8,11 +8,11 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from leanboom.io import folders
 from leanboom.model.outcome import SOLVED
-from leanboom.report import figures
+from leanboom.report import figures, rendering
 from leanboom.study.papers import experiments, printed_values
 from leanboom.study.papers.experiments import EXPERIMENTS, PATHS, PUMPS, STARTS
 
@@ -24,9 +24,7 @@ if TYPE_CHECKING:
 COMPARISON = ("comparison.json", "energies.png", "trajectories.png")
 PAGE, FIGURES = "results.md", "figures"
 
-_TEMPLATE = Path(__file__).parent / "templates" / "results.md"
-_SECTION = re.compile(r"<!-- ([\w-]+) -->\n")
-_HOLE = re.compile(r"\{\{(\w+)\}\}")
+Table = tuple[list[str], list[list[str]], bool]  # heads, rows, and whether the last column is text
 
 
 @contextmanager
@@ -90,34 +88,27 @@ def write_page(result: Reproduction, out: Path) -> Path:
 
 
 def page(result: Reproduction) -> str:
-    """The page of a reproduction, as Markdown: the sections of `page/results.md` whose experiments were run.
+    """The page of a reproduction, as Markdown: the sections of `templates/results.md.j2` whose experiments were run.
 
     Args:
         result: The reproduction.
     """
-    head, *parts = _SECTION.split(_TEMPLATE.read_text(encoding="utf-8"))
-    text = head
-    for name, section in zip(parts[::2], parts[1::2], strict=True):
-        if name in result.records:
-            holes = _holes(name, result)
-            text += _HOLE.sub(lambda hole, holes=holes: holes[hole[1]], section)
+    sections = {name: _section(name, result) for name in result.records}
+    text = rendering.templates().get_template("results.md.j2").render(sections=sections, folder=FIGURES)
     return re.sub(r"\n{3,}", "\n\n", text).rstrip("\n") + "\n"
 
 
-def _holes(name: str, result: Reproduction) -> dict[str, str]:
+def _section(name: str, result: Reproduction) -> dict[str, Any]:
     """What is filled into an experiment's section."""
     lines = [line for line in result.lines if line.experiment == name]
-    holes = {"title": EXPERIMENTS[name].title}
-    holes["figures"] = "\n\n".join(f"![{figure}]({FIGURES}/{figure}.png)" for figure in _figures_of(name, result))
+    section = {"title": EXPERIMENTS[name].title, "figures": list(_figures_of(name, result))}
     if name == "sensitivity":
         groups = _grouped(lines)
-        holes |= {"ranges": _ranges(groups), "verdicts": "\n".join(f"- {text}" for text in verdicts(groups))}
-    elif name in PATHS:
-        holes["energies"] = _energy_table(result.records[name])
-        holes["table"] = _table([line for line in lines if "[kJ]" not in line.row])
-    else:
-        holes["table"] = _table(lines)
-    return holes
+        return section | {"ranges": _ranges(groups), "verdicts": verdicts(groups)}
+    if name in PATHS:
+        energies = _energy_table(result.records[name])
+        return section | {"energies": energies, "table": _table([line for line in lines if "[kJ]" not in line.row])}
+    return section | {"table": _table(lines)}
 
 
 def pictures(result: Reproduction) -> dict[str, bytes]:
@@ -169,13 +160,13 @@ def _figures_of(name: str, result: Reproduction) -> Mapping[str, bytes]:
     return {}
 
 
-def _table(lines: list[Line]) -> str:
+def _table(lines: list[Line]) -> Table:
     """Lines as a table; columns without any value are left out."""
     beside = any(line.printed is not None for line in lines)
     noted = any(line.why for line in lines)
     heads = ["row", *(["printed"] if beside else []), "ours", *(["difference"] if beside else [])]
     heads += ["why"] if noted else []
-    rows = [f"| {' | '.join(heads)} |", "| --- |" + " ---: |" * (len(heads) - 1 - noted) + " --- |" * noted]
+    rows = []
     for line in lines:
         cells = [_plain(line.row)]
         digits = 1 if "[%]" in line.row or "[kJ]" in line.row else 3
@@ -183,8 +174,8 @@ def _table(lines: list[Line]) -> str:
         cells += [number(line.ours, digits)]
         cells += [number(line.difference, digits, signed=True)] if beside else []
         cells += [_plain(line.why)] if noted else []
-        rows.append(f"| {' | '.join(cells)} |")
-    return "\n".join(rows)
+        rows.append(cells)
+    return heads, rows, noted
 
 
 def _plain(text: str) -> str:
@@ -206,20 +197,19 @@ def number(value: float | None, digits: int = 3, *, signed: bool = False) -> str
     return text.lstrip("+-") if float(text) == 0.0 else text
 
 
-def _energy_table(got: experiments.Records) -> str:
+def _energy_table(got: experiments.Records) -> Table:
     """Energies of a path: a row a solution, a column a pump and start."""
     columns = [(start, pump) for start in STARTS for pump in PUMPS]
-    rows = ["| energy in kJ | " + " | ".join(f"{p.upper()}, {s} start" for s, p in columns) + " |"]
-    rows.append("| --- |" + " ---: |" * len(columns))
+    rows = []
     for row in printed_values.SOLUTIONS:
-        cells = []
+        cells = [row.name]
         for start, pump in columns:
             record = got[f"{start}, {row.name}"]
             joules = record[PUMPS[pump]]
             mark = "" if record["status"] == SOLVED else "*"
             cells.append("-" if joules is None else f"{joules / 1e3:.2f}{mark}")
-        rows.append(f"| {row.name} | {' | '.join(cells)} |")
-    return "\n".join(rows)
+        rows.append(cells)
+    return ["energy in kJ", *(f"{pump.upper()}, {start} start" for start, pump in columns)], rows, False
 
 
 def _grouped(lines: list[Line]) -> dict[str, list[Line]]:
@@ -230,9 +220,9 @@ def _grouped(lines: list[Line]) -> dict[str, list[Line]]:
     return groups
 
 
-def _ranges(groups: Mapping[str, list[Line]]) -> str:
+def _ranges(groups: Mapping[str, list[Line]]) -> Table:
     """Ranges of the varied ratios, as a table."""
-    rows = ["| ratio | printed | as bundled | least | most | moved most by |", "| --- |" + " ---: |" * 4 + " --- |"]
+    rows = []
     for what, varied in groups.items():
         found = [(line.ours, line.row.rsplit(": ", 1)[1]) for line in varied if line.ours is not None]
         if not found:
@@ -241,9 +231,8 @@ def _ranges(groups: Mapping[str, list[Line]]) -> str:
         values = [value for value, _ in found]
         moved, most = max((abs(value - base), name) for value, name in found)
         most = most if moved >= 5e-4 else "-"
-        cells = [what, number(varied[0].printed), number(base), number(min(values)), number(max(values)), most]
-        rows.append(f"| {' | '.join(cells)} |")
-    return "\n".join(rows)
+        rows.append([what, number(varied[0].printed), number(base), number(min(values)), number(max(values)), most])
+    return ["ratio", "printed", "as bundled", "least", "most", "moved most by"], rows, True
 
 
 def verdicts(groups: Mapping[str, list[Line]]) -> list[str]:

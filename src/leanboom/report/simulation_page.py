@@ -4,27 +4,18 @@ from __future__ import annotations
 
 import json
 import math
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from leanboom.components.costs import of_pump
-from leanboom.report import plan_page
+from leanboom.report import plan_page, rendering
 from leanboom.report.plan_charts import COLOURS, PLAN_COLOUR
 from leanboom.simulation.closed_loop import SETTLE, Simulation
 
 SUMMARY, SAMPLES, PAGE = FILES = ("simulation.json", "simulation.csv", "simulation.html")
 POINTS = 1500  # of a chart, at most
-EVENTS_SHOWN = 60
-BALANCE = {
-    "valves": "lost in valves and in the pump's controller",
-    "friction": "lost in friction and at cylinder ends",
-    "oil": "left in compressed oil",
-    "kinetic": "gained by moving bodies",
-    "potential": "gained by raised bodies",
-}
 
 
 def summary(run: Simulation, out: Path | None = None) -> dict[str, Any]:
@@ -104,115 +95,38 @@ def page(run: Simulation) -> str:
     Args:
         run: The run.
     """
-    task = run.task
-    holes = {
-        "title": escape(task.name),
-        "subtitle": escape(
-            f"Crane {task.machine.name} · {plan_page.PUMPS[run.pump]} pump · motion by {run.motion.method} · "
-            f"controller {run.controller}"
-        ),
-        "badge": "good" if run.solved else "bad",
-        "verdict": "Incomplete"
-        if not run.complete
-        else "Complete"
-        if run.solved
-        else "Complete, but of no solved plan",
-        "lead": _lead(run),
-        "cards": _cards(run),
-        "events": _events(run),
-        "balance": _balance(run),
-        "legend": _legend(),
-        "how": _how(run),
-    }
-    return plan_page.filled("simulation", holes, _data(run))
-
-
-def _lead(run: Simulation) -> str:
-    begin = "" if run.complete else f"The run ended early: {escape(run.status)}. What is shown is the part before it. "
-    if run.complete and not run.solved:
-        begin = f"The plan that is driven here is not solved: {escape(run.verdict)}. "
-    change = run.change
-    if change is None:
-        more = "beside"
-    elif abs(change) > 5e-4:
-        more = f"{100 * abs(change):.1f} % {'more' if change > 0.0 else 'less'} than"
-    else:
-        more = "as much as"
-    return (
-        f"{begin}Driven by simulated pump, valves and controller, the motion takes <strong>{run.energy / 1e3:.2f} kJ"
-        f"</strong>, {more} the {run.planned_energy / 1e3:.2f} kJ of the plan."
+    return rendering.page(
+        "simulation",
+        _data(run),
+        run=run,
+        task=run.task,
+        pump=plan_page.PUMPS[run.pump],
+        solved=run.solved,
+        verdict="Incomplete" if not run.complete else "Complete" if run.solved else "Complete, but of no solved plan",
+        cards=_cards(run),
+        first_card=" first",
+        settle=SETTLE,
+        points=POINTS,
+        summary=SUMMARY,
+        samples=SAMPLES,
     )
 
 
-def _cards(run: Simulation) -> str:
+def _cards(run: Simulation) -> list[tuple[str, str, str]]:
+    """What each card is of, its value, and more of it."""
     errors = ", ".join(
         f"{name} {1e3 * error:.1f} {'mm' if name == 'extension' else 'mrad'}"
         for name, error in zip(run.task.machine.names, run.joint_error, strict=True)
     )
     turning = run.joint_error[:-1]  # the extension slides: it is named among the others
-    cards = [
-        ("Energy, simulated", f"{run.energy / 1e3:.2f} kJ", "supply pressure times flow", " first"),
-        ("Energy, planned", f"{run.planned_energy / 1e3:.2f} kJ", "", ""),
-        ("Path accuracy", f"{1e3 * run.path_accuracy:.0f} mm", "largest, by ISO 9283", ""),
-        ("Largest angle error", f"{1e3 * turning.max():.1f} mrad", errors, ""),
-        ("Energy balance", f"{1e6 * run.balance_error:.1f} ppm", "of the pump's energy not found again", ""),
-        ("Speed", f"{run.realtime_factor:.0f} x", f"real time, {run.wall_s:.2f} s", ""),
+    return [
+        ("Energy, simulated", f"{run.energy / 1e3:.2f} kJ", "supply pressure times flow"),
+        ("Energy, planned", f"{run.planned_energy / 1e3:.2f} kJ", ""),
+        ("Path accuracy", f"{1e3 * run.path_accuracy:.0f} mm", "largest, by ISO 9283"),
+        ("Largest angle error", f"{1e3 * turning.max():.1f} mrad", errors),
+        ("Energy balance", f"{1e6 * run.balance_error:.1f} ppm", "of the pump's energy not found again"),
+        ("Speed", f"{run.realtime_factor:.0f} x", f"real time, {run.wall_s:.2f} s"),
     ]
-    return "".join(
-        f'<div class="card{extra}"><span class="what">{what}</span><span class="value">{value}</span>'
-        f'<span class="more">{more}</span></div>'
-        for what, value, more, extra in cards
-    )
-
-
-def _events(run: Simulation) -> str:
-    if not run.events:
-        return "<p>Nothing: no valve saturated, no chamber cavitated, no end or limit was reached.</p>"
-    body = "".join(
-        f'<tr><td class="n">{event.time:.2f}</td><td class="n">{event.duration:.2f}</td><td>{event.kind}</td>'
-        f"<td>{escape(event.text)}</td></tr>"
-        for event in run.events[:EVENTS_SHOWN]
-    )
-    left = len(run.events) - EVENTS_SHOWN
-    more = f"<p>And {left} more, in {SUMMARY} beside this page.</p>" if left > 0 else ""
-    return (
-        '<div class="scroll"><table><thead><tr><th scope="col" class="n">from [s]</th><th scope="col" class="n">'
-        f'for [s]</th><th scope="col">kind</th><th scope="col">what</th></tr></thead><tbody>{body}</tbody></table>'
-        f"</div>{more}"
-    )
-
-
-def _balance(run: Simulation) -> str:
-    rows = [("given by the pump", run.balance["pump"])] + [(text, run.balance[name]) for name, text in BALANCE.items()]
-    body = "".join(f'<tr><th scope="row">{name}</th><td class="n">{v / 1e3:.3f} kJ</td></tr>' for name, v in rows)
-    return (
-        f'<div class="scroll"><table><tbody>{body}</tbody></table></div><p>What is not found again is '
-        f"{100 * run.balance_error:.4f} % of what the pump gives.</p>"
-    )
-
-
-def _legend() -> str:
-    def item(colour: str, dash: str, text: str) -> str:
-        return (
-            f'<li><svg aria-hidden="true"><line x1="0" x2="30" y1="6" y2="6" stroke="{colour}" stroke-width="2" '
-            f'stroke-dasharray="{dash}"/></svg>{text}</li>'
-        )
-
-    return f'<ul class="legend">{item("#17202b", "", "simulated")}{item("#7b8490", "5 3", "planned")}</ul>'
-
-
-def _how(run: Simulation) -> str:
-    circuit = run.task.machine.circuit
-    return (
-        f"<p>The crane's rigid bodies, friction, chamber pressures, valves and pump were integrated together by a "
-        f"stiff solver; the controller {escape(run.controller)} set the valves every {1e3 * run.time[1]:.3g} ms. "
-        f"Valves answer after {1e3 * circuit.delay:g} ms, and are watched for {SETTLE:g} s after the path's end. "
-        f"Values that no data sheet gives, such as the oil's bulk modulus ({circuit.bulk_modulus / 1e6:g} MPa), are "
-        f"assumed: see the machine file's section simulation.</p><p>The charts show {POINTS} instants at most; "
-        f"{SAMPLES}, beside this page, holds them all.</p>"
-        if run.time.size > 1
-        else "<p>The run ended at once.</p>"
-    )
 
 
 def _data(run: Simulation) -> dict[str, Any]:
