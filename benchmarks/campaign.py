@@ -22,6 +22,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 import leanboom as lb
+from benchmarks.random_tasks import DIRECT, QUICK
 from leanboom.components.linkages import FourBar, Linkage, Polynomial, RackAndPinion, Triangle
 from leanboom.dynamic_programming import grids, value_function
 from leanboom.formulas import kinematics
@@ -33,8 +34,6 @@ from leanboom.model.task import Lines, Spline, Task
 from leanboom.planning import planner
 from leanboom.problem import stages, starts
 
-METHODS = ("sns-actuator", "dp1", "polish")
-DIRECT = ("pseudospectral", "shooting")
 LOOKS = {
     "grid 201x101": {"grid": (201, 101)},
     "grid 71x35": {"grid": (71, 35)},
@@ -272,7 +271,7 @@ class Tally:
         """Motions found in other ways, by what found them."""
         ways = dict(LOOKS)
         if task.start != "best":
-            ways |= {method: {"method": method} for method in METHODS + (DIRECT if arguments.direct else ())}
+            ways |= {method: {"method": method} for method in QUICK + (DIRECT if arguments.direct else ())}
         for name, options in ways.items():
             if (other := planned(task, self.pump, **options)) is not None:
                 yield name, other.motion

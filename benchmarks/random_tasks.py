@@ -16,12 +16,15 @@ import numpy as np
 import leanboom as lb
 from leanboom.dynamic_programming import grids, value_function
 from leanboom.formulas import kinematics
+from leanboom.methods.registry import METHODS
 from leanboom.model.task import Lines, Spline, Task
 from leanboom.planning import planner
 from leanboom.problem import stages, starts
 
-METHODS = ("sns-joint", "sns-actuator", "sns-actuator-weighted", "dp1", "polish")
-DIRECT = ("pseudospectral", "shooting")
+OURS = METHODS.find("dp")
+OTHERS = {name: METHODS.find(name) for name in METHODS.own if METHODS.find(name) is not OURS}
+QUICK = tuple(name for name, method in OTHERS.items() if method.weight < OURS.weight)
+DIRECT = tuple(name for name, method in OTHERS.items() if method.weight > OURS.weight and not method.slow)
 LEVEL = 5e-4  # a lead smaller than this share counts as level
 
 
@@ -74,7 +77,7 @@ def main() -> None:
     arguments = parser.parse_args()
     value_function.prepare()
     began, compared, empty, lost, lead = time.perf_counter(), 0, 0, 0, np.inf
-    methods = METHODS + (DIRECT if arguments.direct else ())
+    methods = QUICK + (DIRECT if arguments.direct else ())
     number = arguments.first
     while compared < arguments.tasks:
         task, number = random_task(number), number + 1

@@ -15,9 +15,11 @@ from leanboom.dynamic_programming import value_function
 from leanboom.errors import InfeasibleError
 from leanboom.evaluation.evaluate import evaluate
 from leanboom.io.loading import load_task
+from leanboom.methods.registry import METHODS, Settings
 from leanboom.model import crane as cranes
 from leanboom.model.task import sample
 from leanboom.problem import cost_scale, stages, starts
+from leanboom.progress import quiet
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +81,7 @@ def test_no_path_is_an_error(problem, monkeypatch):
     """The two ends of the feasible extensions are too far from the middle."""
     monkeypatch.setattr(node_to_node, "NODES", 2)
     with pytest.raises(InfeasibleError, match="no path over 2 nodes a stage keeps the velocity limits"):
-        node_to_node.plan(problem.task, "cp", starts.start_position(problem, "middle"), lambda text, share: None)
+        node_to_node.plan(problem.task, "cp", starts.start_position(problem, "middle"), quiet, Settings())
 
 
 def test_splines_keep_the_start_and_end_at_rest(rng):
@@ -130,7 +132,7 @@ def test_maptor_plans_what_collocation_plans(monkeypatch):
     monkeypatch.setattr(adaptive_mesh, "LEVELS", adaptive_mesh.LEVELS[:1])
     task = load_task("forwarder-vertical", start="middle")
     start = starts.start_position(stages.discretise(task, 0.05), "middle")
-    motion = adaptive_mesh.plan(task, "cp", start, lambda text, share: None)
+    motion = adaptive_mesh.plan(task, "cp", start, quiet, Settings())
     judged = evaluate(task, motion)
     assert motion.position[0] == start and judged.feasible
     assert 20.0e3 < judged.energy_cp < 1.03 * 20.05e3
@@ -166,7 +168,14 @@ def test_a_peer_that_takes_too_long_is_stopped():
     assert row.remark == "stopped after 1 s, 0% done"
 
 
-def test_a_peer_is_measured(monkeypatch):
+@pytest.fixture
+def registered():
+    """What a peer's process adds to the registry is taken out again."""
+    yield
+    METHODS.added.clear()
+
+
+def test_a_peer_is_measured(monkeypatch, registered):
     """Without loading the kernels, which this peer does not use."""
     monkeypatch.setattr(value_function, "prepare", lambda: None)
     monkeypatch.setattr(node_to_node, "NODES", 41)
@@ -174,6 +183,6 @@ def test_a_peer_is_measured(monkeypatch):
     assert row.energy > 0.0 and row.seconds > 0.0 and row.peak_bytes > 2**20 and row.remark
 
 
-def test_a_start_that_peers_do_not_know_is_a_row(monkeypatch):
+def test_a_start_that_peers_do_not_know_is_a_row(monkeypatch, registered):
     monkeypatch.setattr(value_function, "prepare", lambda: None)
     assert child.measure("forwarder-vertical", "best", "cp", "node-to-node").remark.startswith("start = best")

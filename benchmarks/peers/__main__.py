@@ -16,7 +16,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.peers.roster import PEERS, absent
+from benchmarks.peers.roster import PEERS, absent, sentence
 from benchmarks.peers.table import Measured, lines
 
 TASKS = ("forwarder-vertical", "loader-triangle-large")
@@ -83,7 +83,7 @@ def main() -> None:
     parser.add_argument("--peers", type=lambda text: chosen(text, tuple(PEERS)), default=list(PEERS))
     parser.add_argument("--limit", type=int, default=LIMIT, help="processor time of one peer [s]")
     arguments = parser.parse_args()
-    print("\n".join(f"{name}: {peer.what}" for name, peer in PEERS.items() if name in arguments.peers))
+    print("\n".join(f"{name}: {sentence(name)}" for name in arguments.peers))
     print(f"each on one thread, stopped after {arguments.limit} s of the processor; (!): breaks a limit")
     for task in arguments.tasks:
         for start in arguments.starts:

@@ -20,6 +20,7 @@ from scipy.interpolate import BarycentricInterpolator, CubicSpline
 from leanboom.errors import LeanboomError
 from leanboom.formulas import kinematics
 from leanboom.methods import pseudo_inverse, pseudospectral, smoothed_nlp
+from leanboom.methods.registry import Settings
 from leanboom.methods.smoothed_nlp import Level
 from leanboom.model import crane as cranes
 from leanboom.model import motion
@@ -68,7 +69,7 @@ def pieces(task: Task) -> list[Piece]:
     ]
 
 
-def plan(task: Task, cost: str, start: float, tell: Progress) -> Motion:
+def plan(task: Task, cost: str, start: float, tell: Progress, settings: Settings) -> Motion:
     """The motion of the last level that converged.
 
     Args:
@@ -76,6 +77,7 @@ def plan(task: Task, cost: str, start: float, tell: Progress) -> Motion:
         cost: "ls" or "cp".
         start: Where the redundant cylinder starts [m].
         tell: Called with what happens and the share done.
+        settings: Not used.
 
     Raises:
         LeanboomError: If IPOPT does not converge on the first mesh of the first level: there is no motion then.

@@ -1,7 +1,7 @@
 """One peer on one task in a process of its own: `python -m benchmarks.peers.child TASK START PUMP PEER LIMIT FILE`.
 
 Writes a `Measured` as JSON to the file, and lines `progress SHARE TEXT` to standard error. The time is that of the
-processor from the loaded task to the motion; imports and the loading of compiled kernels come before it.
+processor from the loaded task to the judged motion; imports and the loading of compiled kernels come before it.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ from dataclasses import asdict
 from pathlib import Path
 
 import leanboom as lb
-from benchmarks.peers.roster import PEERS
+from benchmarks.peers.roster import PEERS, register
 from benchmarks.peers.table import Measured
 from leanboom.dynamic_programming import value_function
-from leanboom.problem import stages, starts
+from leanboom.methods.registry import METHODS
+from leanboom.planning import planner
 
 
 def tell(text: str, share: float) -> None:
@@ -28,20 +29,18 @@ def tell(text: str, share: float) -> None:
 def measure(name: str, start: str, pump: str, peer: str) -> Measured:
     """Plan a task by a peer and judge the motion; a peer that finds none says why."""
     task = lb.load_task(name, start=start)
-    for package in PEERS[peer].needs:
+    for package in PEERS[peer]:
         importlib.import_module(package)
+    register()
     value_function.prepare()
-    first = starts.start_position(stages.discretise(task, 0.05), task.start)
-    if first is None:
-        return Measured(peer, remark="start = best; peers need smallest, middle or a length")
+    METHODS.find(peer).warm_up()
     began = time.process_time()
     try:
-        motion = PEERS[peer].solve(task, pump, first, tell)
+        plan = planner.run(task, pump=pump, method=peer, baseline=False, check=False, progress=tell)
     except lb.LeanboomError as error:
         return Measured(peer, time.process_time() - began, peak(), remark=str(error))
-    seconds, memory = time.process_time() - began, peak()
-    judged = lb.evaluate(task, motion)
-    remark = "; ".join([judged.status, *(motion.log if len(motion.log) == 1 else ())])
+    seconds, memory, judged, log = time.process_time() - began, peak(), plan.evaluation, plan.motion.log
+    remark = "; ".join([judged.status, *(log if len(log) == 1 else ())])
     return Measured(peer, seconds, memory, judged.energy(pump), judged.worst_use, judged.feasible, remark)
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from leanboom.errors import InfeasibleError
 from leanboom.formulas.dynamics import friction
 from leanboom.methods import dp_velocity
+from leanboom.methods.registry import Settings
 from leanboom.model import crane as cranes
 from leanboom.model import motion
 from leanboom.model.cost_rates import rate
@@ -35,7 +36,7 @@ STEP = 0.1  # [s]
 Progress = Callable[[str, float], None]
 
 
-def plan(task: Task, cost: str, start: float, tell: Progress) -> Motion:
+def plan(task: Task, cost: str, start: float, tell: Progress, settings: Settings) -> Motion:
     """The motion of the cheapest path over the nodes.
 
     Args:
@@ -43,6 +44,7 @@ def plan(task: Task, cost: str, start: float, tell: Progress) -> Motion:
         cost: "ls" or "cp".
         start: Where the redundant cylinder starts [m].
         tell: Called with what happens and the share done.
+        settings: Not used.
 
     Raises:
         InfeasibleError: If no path keeps the velocity limits.

@@ -1,59 +1,41 @@
-"""Who takes part: each peer's name, what it is, the packages it needs, and how it plans a task."""
+"""Who takes part: methods of leanboom, other people's as methods, and the packages that they need."""
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable
-from dataclasses import dataclass
 from importlib.util import find_spec
 
-from leanboom.model.motion import Motion
-from leanboom.model.task import Task
-from leanboom.planning import planner
+from leanboom.methods.registry import METHODS, Method
 
-Progress = Callable[[str, float], None]
-Solve = Callable[[Task, str, float, Progress], Motion]  # task, pump, start [m], progress
-
-
-@dataclass(frozen=True, slots=True)
-class Peer:
-    """A way to plan a task."""
-
-    what: str
-    solve: Solve
-    needs: tuple[str, ...] = ()  # packages to import, before the clock runs
-
-
-def planned_by(method: str) -> Solve:
-    """A method of `leanboom.planning.planner`."""
-
-    def solve(task: Task, pump: str, start: float, tell: Progress) -> Motion:
-        return planner.run(task, pump=pump, method=method, baseline=False, check=False, progress=tell).motion
-
-    return solve
-
-
-def module(name: str) -> Solve:
-    """The `plan` of a module of this package, imported when it is used."""
-
-    def solve(task: Task, pump: str, start: float, tell: Progress) -> Motion:
-        return importlib.import_module(f"benchmarks.peers.{name}").plan(task, pump, start, tell)
-
-    return solve
-
-
-PEERS = {
-    "dp": Peer("leanboom: dynamic programming, tubes, polish", planned_by("dp")),
-    "dp-paper": Peer("Algorithm 1 of the 4-DOF paper to the letter", planned_by("dp-paper")),
-    "pseudospectral": Peer("CasADi + IPOPT collocation, bootstrapped", planned_by("pseudospectral"), ("casadi",)),
-    "adaptive-mesh": Peer("maptor: adaptive pseudospectral mesh", module("adaptive_mesh"), ("casadi", "maptor")),
-    "via-points": Peer("CMA-ES over via-points, judged", module("via_points"), ("cma",)),
-    "node-to-node": Peer("dynamic programming over positions alone", module("node_to_node")),
+SMOOTH = ("ls", "cp")  # costs
+OTHERS = {
+    "adaptive-mesh": Method("maptor: adaptive pseudospectral mesh", "benchmarks.peers.adaptive_mesh:plan", SMOOTH),
+    "via-points": Method("CMA-ES over via-points, judged", "benchmarks.peers.via_points:plan", SMOOTH),
+    "node-to-node": Method("dynamic programming over positions alone", "benchmarks.peers.node_to_node:plan", SMOOTH),
+}
+# Peers, and the packages that are imported before the clock runs.
+PEERS: dict[str, tuple[str, ...]] = {
+    "dp": (),
+    "dp-paper": (),
+    "pseudospectral": ("casadi",),
+    "adaptive-mesh": ("casadi", "maptor"),
+    "via-points": ("cma",),
+    "node-to-node": (),
 }
 OURS = "dp"
 
 
+def sentence(peer: str) -> str:
+    """What a peer is."""
+    return (OTHERS[peer] if peer in OTHERS else METHODS.find(peer)).sentence
+
+
+def register() -> None:
+    """Let the planner find other people's methods by their names."""
+    for name, method in OTHERS.items():
+        METHODS.add(name, method)
+
+
 def absent(peer: str) -> str:
     """Why a peer cannot run here, as a sentence; empty: it can."""
-    lost = [name for name in PEERS[peer].needs if find_spec(name) is None]
+    lost = [name for name in PEERS[peer] if find_spec(name) is None]
     return f"skipped: package {' and '.join(lost)} is not installed (extra `peers`)" if lost else ""

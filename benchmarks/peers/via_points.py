@@ -18,6 +18,7 @@ from scipy.interpolate import CubicSpline
 from leanboom.evaluation import ranking
 from leanboom.evaluation.evaluate import Evaluation, evaluate
 from leanboom.methods import pseudo_inverse
+from leanboom.methods.registry import Settings
 from leanboom.model import motion
 from leanboom.model.motion import Motion
 from leanboom.model.task import Task
@@ -37,7 +38,7 @@ UNREACHED = 1e3  # cost of a motion that leaves the reach, before its distance
 Progress = Callable[[str, float], None]
 
 
-def plan(task: Task, cost: str, start: float, tell: Progress) -> Motion:
+def plan(task: Task, cost: str, start: float, tell: Progress, settings: Settings) -> Motion:
     """The best judged motion of all candidates, of the feasible ones where there are any.
 
     Args:
@@ -45,6 +46,7 @@ def plan(task: Task, cost: str, start: float, tell: Progress) -> Motion:
         cost: "ls" or "cp".
         start: Where the redundant cylinder starts [m].
         tell: Called with what happens and the share done.
+        settings: Not used.
     """
     import cma
 

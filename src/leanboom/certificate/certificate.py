@@ -29,6 +29,7 @@ from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import stages, starts
 from leanboom.progress import Progress
+from leanboom.quantities.ranges import STAGE, checked, noted, one_of
 
 SECONDS, GAP = 60.0, 0.5  # time for a proof [s] and gap at which it ends [%], by default
 
@@ -162,11 +163,9 @@ def _planned(task: Task, pump: str, step: float, tell: Progress) -> Motion:
 
 def check(pump: str, step: float, seconds: float, gap: float) -> None:
     """Raise InputError for arguments of `certify` that cannot be used, all problems at once."""
-    problems = []
-    if pump not in PUMPS:
-        problems.append(f"pump = {pump}; must be one of {', '.join(PUMPS)}")
-    if not 1e-3 <= step <= 1.0:
-        problems.append(f"step = {step:g} s; must be from 0.001 s to 1 s")
+    problems: list[str] = []
+    noted(problems, one_of, "pump", pump, PUMPS)
+    noted(problems, checked, "step", step, STAGE)
     if not seconds > 0.0:
         problems.append(f"seconds = {seconds:g} s; must be above 0")
     if not 0.0 <= gap < 100.0:

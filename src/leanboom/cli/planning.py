@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -24,6 +24,7 @@ from leanboom.cli.terminal import (
     settings,
 )
 from leanboom.errors import InputError
+from leanboom.methods.registry import EFFORTS
 from leanboom.planning import summaries
 
 
@@ -50,10 +51,12 @@ def plan(
     ] = GRID,
     step: Step = STEP,
     effort: Annotated[
-        Literal["quick", "default", "thorough"],
+        str,
         typer.Option(
+            metavar="|".join(EFFORTS),
+            autocompletion=lambda: list(EFFORTS),
             help="How many ways to follow the path are looked into, and how closely; thorough also proves how far from "
-            "the optimum the plan can be (up to five minutes)."
+            "the optimum the plan can be (up to five minutes).",
         ),
     ] = "default",
     out: Annotated[

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from leanboom.evaluation.evaluate import Evaluation, evaluate, judged_cost
 from leanboom.fixed_mode import modes
 from leanboom.fixed_mode.modes import Modes, Polisher
 from leanboom.methods import pseudo_inverse
-from leanboom.methods.registry import Settings
+from leanboom.methods.registry import EFFORTS, Effort, Settings
 from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import feasible_strokes, stages, starts
@@ -50,28 +50,6 @@ TIGHTENED = 4  # times shorter stages may be, beyond the effort's, where limits 
 FAR = 5e-3  # a seed that is this share behind the best after a round is not polished again
 SETTLED = 1e-4  # polishing ends when it gains less than this share
 NARROW = 0.8  # share of the velocities of a grid beyond which a motion asks for a wider grid
-
-
-@dataclass(frozen=True, slots=True)
-class Effort:
-    """How far the search goes."""
-
-    minima: int  # local minima followed at most
-    stages: int  # of all of them together, about: the shorter the task, the more are followed
-    share: float  # how much more than the best they may cost on the coarse grid
-    leading: int  # of them, refined further at most
-    shortest: int  # stages are at most this many times shorter at the end
-
-    def most(self, count: int, loads: bool) -> int:
-        """Local minima to follow on a number of stages; without loads there are few."""
-        return min(self.minima, max(2, self.stages // count) if loads else 2)
-
-
-EFFORTS = {
-    "quick": Effort(1, 0, 0.0, 1, 1),
-    "default": Effort(4, 800, 0.02, 2, 4),
-    "thorough": Effort(24, 4800, 0.05, 4, 4),
-}
 
 
 def plan(task: Task, cost: str, start: None, tell: Progress, settings: Settings) -> Evaluation:

@@ -24,12 +24,34 @@ STEP = 0.05  # length of a stage [s]
 
 
 @dataclass(frozen=True, slots=True)
+class Effort:
+    """How far the search goes."""
+
+    minima: int  # local minima followed at most
+    stages: int  # of all of them together, about: the shorter the task, the more are followed
+    share: float  # how much more than the best they may cost on the coarse grid
+    leading: int  # of them, refined further at most
+    shortest: int  # stages are at most this many times shorter at the end
+
+    def most(self, count: int, loads: bool) -> int:
+        """Local minima to follow on a number of stages; without loads there are few."""
+        return min(self.minima, max(2, self.stages // count) if loads else 2)
+
+
+EFFORTS = {
+    "quick": Effort(1, 0, 0.0, 1, 1),
+    "default": Effort(4, 800, 0.02, 2, 4),
+    "thorough": Effort(24, 4800, 0.05, 4, 4),
+}
+
+
+@dataclass(frozen=True, slots=True)
 class Settings:
     """What is asked of a method besides task and cost; it uses what it has a use for."""
 
     grid: tuple[int, int] = GRID  # position and velocity nodes of a coarse grid
     step: float = STEP  # length of a stage [s]
-    effort: str = "default"  # a name of `dp_refined.EFFORTS`
+    effort: str = "default"  # a name of `EFFORTS`
     seeds: tuple[Motion, ...] = ()  # known motions: the answer is no worse than a feasible one of them
     # Makes one more seed of a feasible motion, or None: a proof of how good that is finds other motions.
     prover: Callable[[Motion], Motion | None] | None = None

@@ -22,8 +22,8 @@ from leanboom.dynamic_programming import value_function
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.evaluation.evaluate import Evaluation, check_measurable, evaluate
 from leanboom.methods import pseudo_inverse
-from leanboom.methods.dp_refined import EFFORTS, shortest_duration, stage_length
-from leanboom.methods.registry import GRID, METHODS, STEP, Method, Settings
+from leanboom.methods.dp_refined import shortest_duration, stage_length
+from leanboom.methods.registry import EFFORTS, GRID, METHODS, STEP, Method, Settings
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import Kind, Outcome
 from leanboom.model.task import Task

@@ -72,34 +72,22 @@ EXCESS = {
     ("horizontal", "cp"): 1.30,  # "approximately 30% greater energy use"
     ("vertical", "ls"): 2.0,  # "almost twice the energy consumption"
 }
-CONVENTIONAL = (15.0, 30.0)  # section 7: percent of "greater hydraulic energy consumption" in all
 CP_OVER_LS = {"vertical": 2.0}  # section 6.2: CP rates "approximately double compared to the LS case"
 CP_BEST_OVER_LS_POINTWISE = {"horizontal": 1.0}  # section 6.1: "the same amount"
 
 # 4-DOF, Table 4: maximum end-effector path tracking error by ISO 9283 [m], load sensing and constant pressure.
+_ERRORS = {  # horizontal, vertical, half-cycle
+    "DP (CP)": ((0.088, 0.070), (0.098, 0.091), (0.346, 0.129)),
+    "DP (LS)": ((0.076, 0.073), (0.093, 0.087), (0.265, 0.117)),
+    "DP (A. En.)": ((0.064, 0.064), (0.076, 0.085), (0.232, 0.111)),
+    "DP (ext.)": ((0.146, 0.140), (0.085, 0.086), (0.210, 0.155)),
+    "P-inv. (a.)": ((0.127, 0.069), (0.108, 0.095), (0.200, 0.219)),
+    "P-inv. (j.)": ((0.057, 0.052), (0.098, 0.101), (0.343, 0.207)),
+    "DIDO (CP)": ((0.064, 0.041), (0.077, 0.080), (0.277, 0.148)),
+    "DIDO (LS)": ((0.063, 0.049), (0.079, 0.081), (0.245, 0.179)),
+}
 TABLE4 = {
-    ("horizontal", "DP (CP)"): (0.088, 0.070),
-    ("horizontal", "DP (LS)"): (0.076, 0.073),
-    ("horizontal", "DP (A. En.)"): (0.064, 0.064),
-    ("horizontal", "DP (ext.)"): (0.146, 0.140),
-    ("horizontal", "P-inv. (a.)"): (0.127, 0.069),
-    ("horizontal", "P-inv. (j.)"): (0.057, 0.052),
-    ("horizontal", "DIDO (CP)"): (0.064, 0.041),
-    ("horizontal", "DIDO (LS)"): (0.063, 0.049),
-    ("vertical", "DP (CP)"): (0.098, 0.091),
-    ("vertical", "DP (LS)"): (0.093, 0.087),
-    ("vertical", "DP (A. En.)"): (0.076, 0.085),
-    ("vertical", "DP (ext.)"): (0.085, 0.086),
-    ("vertical", "P-inv. (a.)"): (0.108, 0.095),
-    ("vertical", "P-inv. (j.)"): (0.098, 0.101),
-    ("vertical", "DIDO (CP)"): (0.077, 0.080),
-    ("vertical", "DIDO (LS)"): (0.079, 0.081),
-    ("half-cycle", "DP (CP)"): (0.346, 0.129),
-    ("half-cycle", "DP (LS)"): (0.265, 0.117),
-    ("half-cycle", "DP (A. En.)"): (0.232, 0.111),
-    ("half-cycle", "DP (ext.)"): (0.210, 0.155),
-    ("half-cycle", "P-inv. (a.)"): (0.200, 0.219),
-    ("half-cycle", "P-inv. (j.)"): (0.343, 0.207),
-    ("half-cycle", "DIDO (CP)"): (0.277, 0.148),
-    ("half-cycle", "DIDO (LS)"): (0.245, 0.179),
+    (path, name): row[i]
+    for i, path in enumerate(("horizontal", "vertical", "half-cycle"))
+    for name, row in _ERRORS.items()
 }
