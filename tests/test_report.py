@@ -16,7 +16,7 @@ from leanboom.io import loading
 from leanboom.model import motion
 from leanboom.model.machine import Provenance
 from leanboom.planning import planner
-from leanboom.report import plan_charts, plan_page
+from leanboom.report import charts, plan_charts, plan_page, rendering
 
 
 def held(task, length, method="dp"):
@@ -137,19 +137,26 @@ def test_charts_hold_the_judged_values(plan, page):
     judged = plan.evaluation
     at = np.searchsorted(judged.time, np.array(data["time"]) - 1e-6)
     assert data["time"][-1] == pytest.approx(judged.time[-1])
-    by_title = {chart["title"]: chart for chart in data["pump"]}
-    np.testing.assert_allclose(by_title["Energy so far"]["plan"], judged.cumulative_ls[at] / 1e3, rtol=1e-4)
-    np.testing.assert_allclose(by_title["Supply pressure"]["other"], plan.baseline.supply_ls[at] / 1e6, rtol=1e-4)
-    velocity = data["cylinders"][1]["charts"]
+    lines = {(c["title"], line["name"]): line["values"] for c in data["pump"] for line in c["lines"]}
+    np.testing.assert_allclose(lines["Energy so far", "plan"], judged.cumulative_ls[at] / 1e3, rtol=1e-4)
+    other = lines["Supply pressure", "pseudo-inverse"]
+    np.testing.assert_allclose(other, plan.baseline.supply_ls[at] / 1e6, rtol=1e-4)
+    rows = data["rows"]["cylinder-charts"]
+    velocity = rows[1]["charts"]
     assert [chart["title"] for chart in velocity] == ["Base", "Lift", "Tilt", "Extension"]
     assert velocity[1]["limits"] == [-0.15, 0.15]
-    assert all(chart["unit"] and chart["axis"] for row in data["cylinders"] for chart in row["charts"])
+    assert all(chart["unit"] and chart["axis"] for row in rows for chart in row["charts"])
+
+
+def test_one_script_draws_the_charts_of_all_pages():
+    drawing = [p.name for p in rendering.FOLDER.iterdir() if "Plotly." in p.read_text(encoding="utf-8")]
+    assert drawing == ["charts.js"]
 
 
 def test_charts_and_animation_stay_small(task):
     long = made(paced(task, 20.0))
     data = plan_charts.data(long)
-    assert len(data["time"]) <= plan_charts.PLOT_POINTS + 1
+    assert len(data["time"]) <= charts.POINTS + 1
     assert len(data["frames"]["plan"]["joints"]) == plan_charts.FRAMES
 
 
@@ -186,7 +193,7 @@ def test_a_motion_the_crane_cannot_reach_still_makes_a_page(task):
     assert not plan.evaluation.followed
     text = plan_page.page(plan)
     assert "Limit broken: tool off its path" in text and "unknown" in text and '<span class="what">Saving' not in text
-    assert None not in data_of(text)["pump"][0]["plan"]
+    assert None not in data_of(text)["pump"][0]["lines"][0]["values"]
 
 
 def test_a_crane_that_does_not_slew_has_no_top_view():

@@ -19,6 +19,7 @@ from leanboom.model.outcome import Kind, Outcome
 from leanboom.model.task import Lines
 from leanboom.planning import planner
 from leanboom.report import plan_page, rendering, run_folder, simulation_page
+from leanboom.report.charts import POINTS
 from leanboom.simulation import closed_loop
 from leanboom.simulation.events import Event
 from test_simulation import glide
@@ -101,15 +102,15 @@ def test_the_page_is_whole_needs_no_network_and_escapes_names(run):
     data = json.loads(page.split('id="data">')[1].split("</script>")[0])
     charts = [
         *data["pump"],
-        *(chart for part in ("joints", "cylinders") for row in data[part] for chart in row["charts"]),
+        *(chart for rows in data["rows"].values() for row in rows for chart in row["charts"]),
     ]
     sizes = {len(line["values"]) for chart in charts for line in chart["lines"]}
-    assert sizes == {len(data["time"])} and len(data["time"]) <= simulation_page.POINTS
+    assert sizes == {len(data["time"])} and len(data["time"]) <= POINTS
     assert [line["name"] for line in data["pump"][1]["lines"]] == ["planned", "simulated"]
-    pressures = data["cylinders"][0]["charts"][0]["lines"]
+    pressures = data["rows"]["cylinder-charts"][0]["charts"][0]["lines"]
     assert [line["name"] for line in pressures] == ["planned", "piston side", "rod side"]
-    assert [group["title"] for group in data["joints"]] == ["Positions", "Errors", "Piston velocities"]
-    assert len(data["cylinders"][0]["charts"]) == 3
+    assert [group["title"] for group in data["rows"]["joint-charts"]] == ["Positions", "Errors", "Piston velocities"]
+    assert len(data["rows"]["cylinder-charts"][0]["charts"]) == 3
 
 
 def test_words_of_methods_controllers_and_events_are_no_markup(run):

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from leanboom.components.costs import of_pump
 from leanboom.evaluation.evaluate import SAMPLE
+from leanboom.report.charts import COLOURS, POINTS, chart, chart_rows, pump_charts, pump_values, rounded
 
 if TYPE_CHECKING:
     from leanboom.evaluation.evaluate import Evaluation
@@ -15,11 +15,9 @@ if TYPE_CHECKING:
     from leanboom.planning.planner import Plan
 
 PLOT_STEP = 0.02  # [s] between the points of a chart
-PLOT_POINTS = 1500  # at most
 THICKNESS, VISIBLE = 0.036, 0.03  # of the drawn boom, and from which on two are told apart, of the reach
+LENGTHS = "Lengths, with the ends of the stroke (the extension beyond its retracted length)"
 FRAMES = 121  # poses of the animation; the page interpolates between them
-COLOURS = {"base": "#5b4a9e", "lift": "#0b5c8c", "tilt": "#b4540a", "extension": "#17804a"}
-PLAN_COLOUR = "#0b5c8c"
 
 
 def colours(machine: Machine) -> dict[str, str]:
@@ -31,11 +29,6 @@ def colours(machine: Machine) -> dict[str, str]:
     return {**COLOURS} if machine.geometry.slewing else {**COLOURS, "base": "#59636e"}
 
 
-def _rounded(values: np.ndarray, digits: int = 5) -> list[float | None]:
-    """Numbers of a chart: few digits, and None where there is none."""
-    return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in np.asarray(values).tolist()]
-
-
 def data(plan: Plan) -> dict[str, Any]:
     """What the page's script draws, ready for JSON.
 
@@ -43,20 +36,24 @@ def data(plan: Plan) -> dict[str, Any]:
         plan: The plan.
     """
     judged, other = plan.evaluation, plan.baseline
-    every = max(int(round(PLOT_STEP / SAMPLE)), -(-judged.time.size // PLOT_POINTS))
+    every = max(int(round(PLOT_STEP / SAMPLE)), -(-judged.time.size // POINTS))
     at = np.unique(np.append(np.arange(0, judged.time.size, every), judged.time.size - 1))
     frames = np.unique(np.linspace(0, judged.time.size - 1, FRAMES).round().astype(int))
     opens = judged.time[judged.time.size // 2] if other is None else postures_apart(plan)[0]
     motions = {"plan": judged} | ({"other": other} if other is not None else {})
+    behind = {} if other is None else {"pseudo-inverse": other}
     return {
         "duration": plan.task.duration,
         "opens_at": float(opens),
-        "other_name": "pseudo-inverse",
-        "time": _rounded(judged.time[at], 6),
+        "time": rounded(judged.time[at], 6),
         "crane": _crane(plan, frames),
         "frames": {name: _frames(motion, plan.pump, frames) for name, motion in motions.items()},
-        "pump": _pump_charts(plan, at),
-        "cylinders": _cylinder_charts(plan, at),
+        "pump": pump_charts(
+            {"plan": [values[at] for values in pump_values(judged, plan.pump)]},
+            {name: [values[at] for values in pump_values(motion, plan.pump)] for name, motion in behind.items()},
+            plan.task.machine.pump.max_pressure,
+        ),
+        "rows": {"cylinder-charts": _cylinder_charts(plan, behind, at)},
     }
 
 
@@ -98,10 +95,10 @@ def _frames(motion: Evaluation, pump: str, frames: np.ndarray) -> dict[str, Any]
     joints = np.nan_to_num(motion.joint_position[frames])
     if not motion.task.machine.geometry.slewing:
         joints = np.concatenate([np.zeros((frames.size, 1)), joints], axis=1)
-    supply, power, energy = _pump_values(motion, pump)
+    _, supply, power, energy = pump_values(motion, pump)
 
     def row(values: np.ndarray, digits: int) -> dict[str, Any]:
-        return {"values": _rounded(np.nan_to_num(values[frames]), 6), "digits": digits}
+        return {"values": rounded(np.nan_to_num(values[frames]), 6), "digits": digits}
 
     return {
         "joints": np.round(joints, 5).tolist(),
@@ -110,12 +107,6 @@ def _frames(motion: Evaluation, pump: str, frames: np.ndarray) -> dict[str, Any]
         "power": row(power / 1e3, 2),
         "energy": row(energy / 1e3, 2),
     }
-
-
-def _pump_values(motion: Evaluation, pump: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Supply pressure [Pa], power [W] and energy so far [J] with a pump."""
-    ls = motion.supply_ls, motion.power_ls, motion.cumulative_ls
-    return of_pump(pump, ls, (motion.supply_cp, motion.power_cp, motion.cumulative_cp))
 
 
 def _crane(plan: Plan, frames: np.ndarray) -> dict[str, Any]:
@@ -163,57 +154,23 @@ def _same_height(side: list[float], above: list[float]) -> tuple[list[float], li
     return np.round(beside, 3).tolist(), np.round(over, 3).tolist()
 
 
-def _pump_charts(plan: Plan, at: np.ndarray) -> list[dict[str, Any]]:
-    pump, colour = plan.task.machine.pump, PLAN_COLOUR
-    motions = [plan.evaluation] + ([plan.baseline] if plan.baseline is not None else [])
-    values = [_pump_values(motion, plan.pump) for motion in motions]
-    return [
-        _chart("Flow", "flow", "l/min", colour, [1e3 * 60 * m.pump_flow[at] for m in motions], [], zero=True),
-        _chart(
-            "Supply pressure", "pressure", "MPa", colour, [v[0][at] / 1e6 for v in values],
-            [pump.max_pressure / 1e6], zero=True,
-        ),
-        _chart("Power", "power", "kW", colour, [v[1][at] / 1e3 for v in values], [], zero=True),
-        _chart("Energy so far", "energy", "kJ", colour, [v[2][at] / 1e3 for v in values], [], zero=True),
-    ]  # fmt: skip
-
-
-def _cylinder_charts(plan: Plan, at: np.ndarray) -> list[dict[str, Any]]:
+def _cylinder_charts(plan: Plan, behind: dict[str, Evaluation], at: np.ndarray) -> list[dict[str, Any]]:
     machine = plan.task.machine
-    motions = [plan.evaluation] + ([plan.baseline] if plan.baseline is not None else [])
-    rows: dict[str, list] = {"Length": [], "Velocity": [], "Force": [], "Counted pressure": []}
+    rows: dict[str, list] = {}
     for j, (joint, cylinder) in enumerate(zip(machine.joints, machine.cylinders, strict=True)):
         title, colour = cylinder.name.capitalize(), COLOURS[cylinder.name]
         ends = [float(cylinder.linkage.length_arm_slope(q)[0]) for q in (joint.lower, joint.upper)]
-        fastest = cylinder.velocity_limit
+        fastest, highest = cylinder.velocity_limit, machine.pump.max_pressure
         for row, axis, unit, name, scale, limits in (
-            ("Length", "position" if joint.name == "base" else "length", "m", "length", 1.0, ends),
-            ("Velocity", "velocity", "m/s", "velocity", 1.0, [-fastest, fastest]),
-            ("Force", "force", "kN", "force", 1e-3, []),
-            ("Counted pressure", "pressure", "MPa", "pressure", 1e-6, [machine.pump.max_pressure * 1e-6]),
+            (LENGTHS, "position" if joint.name == "base" else "length", "m", "length", 1.0, ends),
+            ("Velocities, with their limits", "velocity", "m/s", "velocity", 1.0, [-fastest, fastest]),
+            ("Forces", "force", "kN", "force", 1e-3, []),
+            ("Counted pressures, with the pump's highest", "pressure", "MPa", "pressure", 1e-6, [1e-6 * highest]),
         ):
-            series = [scale * getattr(motion, name)[at, j] for motion in motions]
-            zero = row in ("Force", "Counted pressure")
-            rows[row].append(_chart(title, axis, unit, colour, series, limits, zero=zero, dot=True))
-    titles = {
-        "Length": "Lengths, with the ends of the stroke (the extension beyond its retracted length)",
-        "Velocity": "Velocities, with their limits",
-        "Force": "Forces",
-        "Counted pressure": "Counted pressures, with the pump's highest",
-    }
-    return [{"title": titles[row], "charts": charts} for row, charts in rows.items()]
-
-
-def _chart(title, axis, unit, colour, series, limits, *, zero: bool = False, dot: bool = False) -> dict[str, Any]:
-    """One chart: the plan's values and, where there is one, the baseline's."""
-    return {
-        "title": title,
-        "axis": axis,
-        "unit": unit,
-        "colour": colour,
-        "dot": dot,
-        "zero": zero,
-        "plan": _rounded(series[0]),
-        "other": _rounded(series[1]) if len(series) > 1 else None,
-        "limits": _rounded(limits),
-    }
+            lines, grey = (
+                {called: scale * getattr(motion, name)[at, j] for called, motion in motions.items()}
+                for motions in ({"plan": plan.evaluation}, behind)
+            )
+            drawn = chart(title, axis, unit, colour, lines, grey, limits, zero=name in ("force", "pressure"), dot=True)
+            rows.setdefault(row, []).append(drawn)
+    return chart_rows(rows)

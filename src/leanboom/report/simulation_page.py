@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from leanboom.components.costs import of_pump
 from leanboom.report import plan_page, rendering
-from leanboom.report.plan_charts import COLOURS, PLAN_COLOUR
+from leanboom.report.charts import COLOURS, POINTS, chart, chart_rows, pump_charts, pump_values, rounded
 from leanboom.simulation.closed_loop import SETTLE, Simulation
 
 SUMMARY, SAMPLES, PAGE = FILES = ("simulation.json", "simulation.csv", "simulation.html")
-POINTS = 1500  # of a chart, at most
+SIMULATED, PORTS = "simulated", ("piston side", "rod side")
 
 
 def summary(run: Simulation, out: Path | None = None) -> dict[str, Any]:
@@ -133,59 +132,38 @@ def _data(run: Simulation) -> dict[str, Any]:
     at = np.unique(np.linspace(0, run.time.size - 1, min(POINTS, run.time.size)).round().astype(int))
     plan, last = run.planned, run.planned.time.size - 1
     there = np.minimum(at, last)
-    after = at > last
-    supply, power, energy = of_pump(
-        run.pump,
-        (plan.supply_ls, plan.power_ls, plan.cumulative_ls),
-        (plan.supply_cp, plan.power_cp, plan.cumulative_cp),
-    )
+    moving = at <= last
 
-    def planned(values: np.ndarray, scale: float, rest: bool = False) -> np.ndarray:
-        return scale * np.where(after, 0.0, values[there]) if rest else scale * values[there]
-
-    pump = [
-        _chart("Flow", "flow", "l/min", [(6e4 * run.pump_flow[at], PLAN_COLOUR)], planned(plan.pump_flow, 6e4, True)),
-        _chart("Supply pressure", "pressure", "MPa", [(1e-6 * run.supply[at], PLAN_COLOUR)], planned(supply, 1e-6)),
-        _chart("Power", "power", "kW", [(1e-3 * run.power[at], PLAN_COLOUR)], planned(power, 1e-3, True)),
-        _chart("Energy so far", "energy", "kJ", [(1e-3 * run.cumulative[at], PLAN_COLOUR)], planned(energy, 1e-3)),
-    ]
+    flow, supply, power, energy = (values[there] for values in pump_values(plan, run.pump))
+    driven = [values[at] for values in (run.pump_flow, run.supply, run.power, run.cumulative)]
+    wanted = [flow * moving, supply, power * moving, energy]
     joints: dict[str, list] = {"Positions": [], "Errors": [], "Piston velocities": []}
     cylinders: dict[str, list] = {"Chamber pressures": [], "Valve commands": []}
     commands = run.command.reshape(run.time.size, len(run.task.machine.names), -1)
     for j, name in enumerate(run.task.machine.names):
-        title, colour = name.capitalize(), COLOURS[name]
         unit, small = ("m", "mm") if name == "extension" else ("rad", "mrad")
-        joints["Positions"].append(
-            _chart(title, "position", unit, [(run.joint_position[at, j], colour)], run.joint_target[at, j])
-        )
-        error = 1e3 * (run.joint_position[at, j] - run.joint_target[at, j])
-        joints["Errors"].append(_chart(title, "error", small, [(error, colour)]))
-        velocity = planned(plan.velocity[:, j], 1.0, True)
-        joints["Piston velocities"].append(_chart(title, "velocity", "m/s", [(run.velocity[at, j], colour)], velocity))
-        chambers = [(1e-6 * run.pressure_a[at, j], colour), (1e-6 * run.pressure_b[at, j], colour)]
-        counted = planned(plan.pressure[:, j], 1e-6, True)
-        cylinders["Chamber pressures"].append(_chart(title, "pressure", "MPa", chambers, counted))
-        ports = [(commands[at, j, port], colour) for port in range(commands.shape[2])]
-        cylinders["Valve commands"].append(_chart(title, "command", "", ports))
+        found, target = run.joint_position[at, j], run.joint_target[at, j]
+        chambers = dict(zip(PORTS, (1e-6 * run.pressure_a[at, j], 1e-6 * run.pressure_b[at, j]), strict=True))
+        ports = dict(zip(PORTS, commands[at, j].T, strict=False))
+        velocity, counted = moving * plan.velocity[there, j], 1e-6 * moving * plan.pressure[there, j]
+        for rows, row, axis, of, lines, planned in (
+            (joints, "Positions", "position", unit, {SIMULATED: found}, target),
+            (joints, "Errors", "error", small, {SIMULATED: 1e3 * (found - target)}, None),
+            (joints, "Piston velocities", "velocity", "m/s", {SIMULATED: run.velocity[at, j]}, velocity),
+            (cylinders, "Chamber pressures", "pressure", "MPa", chambers, counted),
+            (
+                cylinders,
+                "Valve commands",
+                "command",
+                "",
+                ports if len(ports) > 1 else {SIMULATED: ports[PORTS[0]]},
+                None,
+            ),
+        ):
+            behind = {} if planned is None else {"planned": planned}
+            rows[row].append(chart(name.capitalize(), axis, of, COLOURS[name], lines, behind))
     return {
-        "time": _rounded(run.time[at]),
-        "pump": pump,
-        "joints": [{"title": name, "charts": group} for name, group in joints.items()],
-        "cylinders": [{"title": name, "charts": group} for name, group in cylinders.items()],
+        "time": rounded(run.time[at]),
+        "pump": pump_charts({SIMULATED: driven}, {"planned": wanted}, run.task.machine.pump.max_pressure),
+        "rows": {"joint-charts": chart_rows(joints), "cylinder-charts": chart_rows(cylinders)},
     }
-
-
-def _chart(
-    title: str, axis: str, unit: str, found: list[tuple[np.ndarray, str]], planned: np.ndarray | None = None
-) -> dict[str, Any]:
-    """One chart: what happened, for ports A and B where there are two, and the plan behind it."""
-    names = ["simulated"] if len(found) == 1 else ["piston side", "rod side"]
-    lines = [] if planned is None else [{"name": "planned", "values": planned, "colour": "#7b8490", "dash": "5px,3px"}]
-    for name, (values, colour), dash in zip(names, found, ("", "2px,2px"), strict=False):
-        lines.append({"name": name, "values": values, "colour": colour, "dash": dash})
-    drawn = [{**line, "values": _rounded(line["values"])} for line in lines]
-    return {"title": title, "axis": axis, "unit": unit, "lines": drawn}
-
-
-def _rounded(values: np.ndarray) -> list[float | None]:
-    return [float(f"{value:.5g}") if math.isfinite(value) else None for value in np.asarray(values).tolist()]

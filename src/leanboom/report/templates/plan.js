@@ -1,7 +1,5 @@
-"use strict";
-// Draws the crane and the charts of a plan from the data above. Lengths in m; the drawing's unit is 1 cm.
+// Draws the crane of a plan, and moves the charts' cursors with it. Lengths in m; the drawing's unit is 1 cm.
 (() => {
-  const data = JSON.parse(document.getElementById("data").textContent);
   const svgns = document.getElementById("side").namespaceURI;
   const font = getComputedStyle(document.body).fontFamily;
 
@@ -162,7 +160,6 @@
   const clock = document.getElementById("clock"), speed = document.getElementById("speed");
   const duration = data.duration;
   let now = data.opens_at, running = false, last = 0;
-  const cursors = [];
 
   const between = (rows, share) => {
     const at = share * (rows.length - 1), i = Math.min(Math.floor(at), rows.length - 2), f = at - i;
@@ -182,7 +179,7 @@
       const row = data.frames[who][what];
       cell.textContent = between(row.values, share).toFixed(row.digits);
     }
-    cursors.forEach((cursor) => cursor());
+    moveCursors(now);
   }
 
   function step(stamp) {
@@ -205,68 +202,6 @@
   });
   slider.addEventListener("input", () => { stop(); now = (Number(slider.value) / 1000) * duration; show(); });
 
-  // ---- charts -------------------------------------------------------------------------------------------------
-  const coarse = matchMedia("(pointer: coarse)").matches;
-
-  function chart(parent, spec, height) {
-    const box = document.createElement("div");
-    box.className = "chart";
-    const title = document.createElement("h4");
-    if (spec.dot) { const dot = document.createElement("i"); dot.style.background = spec.colour; title.appendChild(dot); }
-    title.appendChild(document.createTextNode(spec.title));
-    const plot = document.createElement("div");
-    plot.setAttribute("role", "img");
-    plot.setAttribute("aria-label", `${spec.title}, ${spec.axis} in ${spec.unit} over time in s`);
-    const cursor = document.createElement("div");
-    cursor.className = "cursor";
-    box.append(title, plot, cursor);
-    parent.appendChild(box);
-
-    const traces = [];
-    if (spec.other) traces.push({ x: data.time, y: spec.other, name: data.other_name, mode: "lines", line: { color: "#7b8490", width: 1.6, dash: "5px,3px", simplify: false } });
-    traces.push({ x: data.time, y: spec.plan, name: "plan", mode: "lines", line: { color: spec.colour, width: 2.2, simplify: false } });
-    for (const trace of traces) trace.hovertemplate = `%{y:.4~g} ${spec.unit}`;
-    let low = Infinity, high = -Infinity;
-    for (const values of [spec.plan, spec.other || [], spec.limits])
-      for (const value of values) if (value !== null) { low = Math.min(low, value); high = Math.max(high, value); }
-    if (spec.zero) { low = Math.min(low, 0); high = Math.max(high, 0); }
-    if (!isFinite(low)) low = high = 0;
-    if (!(high > low)) { low -= 1; high += 1; }
-    const room = 0.06 * (high - low);
-    const axis = { gridcolor: "#e8ebef", zerolinecolor: "#c3cad2", linecolor: "#c3cad2", tickfont: { size: 11 }, fixedrange: coarse, automargin: true };
-    Plotly.newPlot(plot, traces, {
-      height,
-      margin: { l: 46, r: 10, t: 6, b: 34 },
-      font: { family: font, size: 12, color: "#33404d" },
-      paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
-      showlegend: false, hovermode: "x unified", dragmode: coarse ? false : "zoom",
-      hoverlabel: { font: { size: 12 } },
-      xaxis: { ...axis, range: [0, duration], title: { text: "time [s]", font: { size: 11.5 }, standoff: 4 }, hoverformat: ".2f", unifiedhovertitle: { text: "%{x} s" } },
-      yaxis: { ...axis, range: [low - room, high + room], title: { text: `${spec.axis} [${spec.unit}]`, font: { size: 11.5 }, standoff: 6 } },
-      shapes: spec.limits.map((value) => ({ type: "line", xref: "paper", x0: 0, x1: 1, y0: value, y1: value, line: { color: "#b3261e", width: 1.4, dash: "2px,3px" } })),
-    }, { displayModeBar: false, responsive: true, scrollZoom: false });
-    cursors.push(() => {
-      const layout = plot._fullLayout, size = layout && layout._size;
-      if (!size || !layout.xaxis || !layout.xaxis.l2p) return;
-      const x = layout.xaxis.l2p(now);
-      cursor.style.display = x >= -1 && x <= size.w + 1 ? "block" : "none";
-      cursor.style.left = `${plot.offsetLeft + size.l + x}px`;
-      cursor.style.top = `${plot.offsetTop + size.t}px`;
-      cursor.style.height = `${size.h}px`;
-    });
-    plot.on("plotly_afterplot", cursors[cursors.length - 1]);
-  }
-
-  const pump = document.getElementById("pump-charts");
-  for (const spec of data.pump) chart(pump, spec, 230);
-  const cylinders = document.getElementById("cylinder-charts");
-  for (const row of data.cylinders) {
-    const heading = document.createElement("h3");
-    heading.textContent = row.title;
-    const grid = document.createElement("div");
-    grid.className = "charts";
-    cylinders.append(heading, grid);
-    for (const spec of row.charts) chart(grid, spec, 190);
-  }
+  const moveCursors = drawCharts(data);
   show();
 })();
