@@ -18,14 +18,14 @@ from leanboom.errors import InputError
 PROBE = """
 from leanboom.compiling import njit, told
 from leanboom.formulas.formula import enable_in_kernels
-from leanboom.formulas.hydraulics import recuperating_flow
+from leanboom.formulas.hydraulics import positive_work
 
 enable_in_kernels()
 
 
 @njit(cache=True)
 def probe(x):
-    return recuperating_flow(x, 2.0, 1.0)
+    return positive_work(x, 1.0)
 
 
 made = []
@@ -58,7 +58,7 @@ def test_a_changed_formula_is_compiled_again(package, tmp_path):
     assert run(package, "import leanboom.probe", **home).stdout.split() == ["3.0", "0"]
     formulas = package / "formulas" / "hydraulics.py"
     text = formulas.read_text(encoding="utf-8")
-    old = "return v * (piston_area - rod_side_area)"
+    old = "return np.maximum(F * v, 0.0)"
     assert old in text
     formulas.write_text(text.replace(old, f"{old} * 10.0"), encoding="utf-8")
     assert run(package, "import leanboom.probe", **home).stdout.split() == ["30.0", "1"]

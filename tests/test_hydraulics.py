@@ -193,8 +193,8 @@ def test_pump_flow_is_that_of_equation_37(v, area_out, area_in):
 
 
 def test_reused_return_flow_is_that_of_equation_37_of_the_3dof_paper():
-    assert hydraulics.recuperating_flow(0.2, 5.0, 3.0) == pytest.approx(0.4)
-    assert hydraulics.recuperating_flow(-0.2, 5.0, 3.0) == pytest.approx(-0.4)
+    assert hydraulics.cylinder_flow(0.2, 2.0, -2.0) == pytest.approx(0.4)
+    assert hydraulics.cylinder_flow(-0.2, 2.0, -2.0) == pytest.approx(-0.4)
 
 
 # Counted pressures, eq. (41)

@@ -182,6 +182,14 @@ def test_markup_of_pages_stands_in_templates_alone():
     assert found == []
 
 
+@pytest.mark.parametrize("names", ["constant_pressure", "driven_velocity", "bore|piston_area|rod_side_area"])
+def test_few_modules_beside_the_model_know_a_quantity_of_the_machine(names):
+    """All others ask `model` or `components` for what follows from it."""
+    others = [path for path in SOURCES if path.relative_to(PACKAGE).parts[0] not in {"components", "model"}]
+    found = [path.name for path in others if re.search(rf"\b({names})\b", path.read_text(encoding="utf-8"))]
+    assert 0 < len(found) <= 5, found
+
+
 def test_importing_the_package_loads_nothing_heavy():
     program = f"import sys, leanboom; print(*sorted(set({HEAVY!r}) & set(sys.modules)))"
     answer = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)

@@ -6,7 +6,7 @@ acceleration limits of every moving cylinder at every stage's start, from the gi
 not an estimate: coefficients are enclosed over cells with proven remainders (`taylor_model`), costs to go are bounded
 over cells (`lower_bounds`), and the rounding of floating-point numbers is covered by `refinement.ROUNDING`.
 
-A cylinder counts as driven above the machine's `driven_velocity` itself; planned motions stay 1 % inside it, so the
+A cylinder counts as driven above the machine's threshold itself; planned motions stay 1 % inside it, so the
 bound holds for motions on the threshold too.
 """
 

@@ -12,13 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leanboom.components.costs import of_pump
-from leanboom.components.pump_power import shaft_of
 from leanboom.dynamic_programming import grids, value_function
 from leanboom.evaluation.evaluate import PATH_TOLERANCE, TOLERANCE
 from leanboom.fixed_mode import modes
 from leanboom.fixed_mode.modes import Polisher
-from leanboom.formulas import hydraulics
+from leanboom.model import cost_rates
 from leanboom.model import crane as cranes
 from leanboom.model.motion import Motion
 from leanboom.problem import feasible_strokes, stage_arrays
@@ -55,23 +53,15 @@ def measure(problem: Problem, candidate: Motion, pump: str) -> Measured:
     pose = cranes.pose(crane, problem.plane[:-1], candidate.position[:-1])
     moving = cranes.move(pose, candidate.velocity[:-1], candidate.acceleration)
     force = cranes.forces(pose, moving)
-    flow, pressure, _ = stage_arrays.prescribed(problem, pump)
-    flow, pressure = flow[:-1], pressure[:-1]
+    others = [part[:-1] for part in stage_arrays.prescribed(problem, pump)]
+    power = cost_rates.rate(crane, pump, moving.velocity[problem.moving], force[problem.moving], others)
     used = max(np.max(problem.lower - candidate.position), np.max(candidate.position - problem.upper)) / PATH_TOLERANCE
     used = max(used, abs(candidate.velocity[-1]) / PATH_TOLERANCE)
     for i in range(len(machine.cylinders))[problem.moving]:
-        d, cylinder, v = crane.drives[i], machine.cylinders[i], moving.velocity[i]
-        flow = flow + hydraulics.cylinder_flow(v, d.area_out, d.area_in)
-        pressure = np.maximum(
-            pressure,
-            hydraulics.counted_pressure(
-                v, force[i], machine.driven_velocity, d.gain_out, d.back_out, d.gain_in, d.back_in
-            ),
-        )
-        used = max(used, np.max(np.abs(v)) / cylinder.velocity_limit / TOLERANCE)
+        cylinder = machine.cylinders[i]
+        used = max(used, np.max(np.abs(moving.velocity[i])) / cylinder.velocity_limit / TOLERANCE)
         used = max(used, np.max(np.abs(moving.acceleration[i])) / cylinder.acceleration_limit / TOLERANCE)
-    supply = of_pump(pump, pressure + machine.pump.ls_margin, machine.pump.constant_pressure)
-    return Measured(candidate, problem.step * hydraulics.pump_power(supply, flow, *shaft_of(machine.pump)), used <= 1.0)
+    return Measured(candidate, problem.step * power, used <= 1.0)
 
 
 def improve(problem: Problem, seed: Measured, pump: str, free: bool) -> Measured:

@@ -47,3 +47,12 @@ class Cylinder:
 
     def __post_init__(self) -> None:
         hold_declared(self, f"cylinders.{self.name}")
+
+    @property
+    def areas(self) -> tuple[float, float]:
+        """Area on the piston side and on the rod side [m^2]."""
+        return self.piston_area, self.rod_side_area
+
+    def push(self, pressure: float) -> float:
+        """Force of a pressure on the piston side [N]."""
+        return self.piston_area * pressure

@@ -40,12 +40,6 @@ def positive_work(v, F):
 
 
 @formula
-def recuperating_flow(v, piston_area, rod_side_area):
-    """Net flow of a cylinder whose return flow is reused [m^3/s]. Eq. (37), 3-DOF paper."""
-    return v * (piston_area - rod_side_area)
-
-
-@formula
 def pump_losses(supply, flow, idle, leak, drag):
     """Losses of the pump besides the share that is in proportion to p Q [W]; see `pump_power.Shaft`."""
     return idle + leak * supply + drag * flow * flow

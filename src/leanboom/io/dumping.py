@@ -16,7 +16,7 @@ from leanboom.components.paths import PATHS
 from leanboom.components.valves import VALVES
 from leanboom.errors import InputError
 from leanboom.io.checks import areas, stroke
-from leanboom.io.schema import SIZE_KEYS, CylinderKeys, MachineKeys, TaskKeys
+from leanboom.io.schema import AREAS, SHARED, SIZE_KEYS, CylinderKeys, MachineKeys, TaskKeys
 from leanboom.io.yaml_source import STATUSES, Key, dotted, scalar, shortened
 from leanboom.model.machine import Joint, Machine, Provenance
 from leanboom.model.task import Task, written
@@ -31,8 +31,8 @@ def machine_text(machine: Machine) -> str:
     """The text of a machine file that loads as this machine, provenance included."""
     origin = {entry.key: entry for entry in machine.provenance}
     data = {
+        **{name: getattr(machine, name) for name in SHARED},
         "name": machine.name,
-        "description": machine.description,
         "geometry": asdict(machine.geometry),
         "joints": {joint.name: [joint.lower, joint.upper] for joint in machine.joints},
         "cylinders": {
@@ -43,10 +43,8 @@ def machine_text(machine: Machine) -> str:
         "payload": {"along": machine.payload_along, "above": machine.payload_above},
         "valve": Variant(VALVES).section_of(machine.valve).data(machine.valve),
         "pump": asdict(machine.pump),
-        "driven_velocity": machine.driven_velocity,
         "dynamics": {"coriolis": machine.coriolis, "slewing_inertia": machine.slewing_inertia},
         "simulation": _circuit(machine, origin),
-        "gravity": machine.gravity,
     }
     return _text(Section(MachineKeys), data, f"machine {machine.name}", origin)
 
@@ -83,7 +81,7 @@ def _without(values: dict[str, Any], *names: str) -> dict[str, Any]:
 
 
 def _cylinder(cylinder: Cylinder, joint: Joint, origin: dict[str, Provenance]) -> dict[str, Any]:
-    values = _without(asdict(cylinder), "name", "piston_area", "rod_side_area")
+    values = _without(asdict(cylinder), "name", *AREAS)
     given = f"cylinders.{cylinder.name}.stroke" in origin
     if not given and cylinder.stroke == stroke(cylinder.linkage, joint.lower, joint.upper):
         del values["stroke"]  # reading finds the same
@@ -109,10 +107,9 @@ def _size(cylinder: Cylinder, origin: dict[str, Provenance]) -> dict[str, Any]:
         entry = origin.get(f"cylinders.{cylinder.name}.{name}")
         if entry is not None:
             written[name] = parse(entry.value, declared(CylinderKeys)[name].rule.kind or KINDS["number"])
-    exact = (cylinder.piston_area, cylinder.rod_side_area)
-    if None not in written.values() and areas(written) == exact:
+    if None not in written.values() and areas(written) == cylinder.areas:
         return written
-    return {"piston_area": exact[0], "rod_side_area": exact[1]}
+    return dict(zip(AREAS, cylinder.areas, strict=True))
 
 
 def _section(section: Section, made: Any, key: Key, origin: dict[str, Provenance]) -> list[str]:

@@ -175,7 +175,7 @@ def _choices(kind: str, wanted: str) -> str:
 def _machine(source: Source, path: Path) -> Machine:
     """The machine of a file that was read."""
     from leanboom.io.checks import check_machine
-    from leanboom.io.schema import MachineKeys
+    from leanboom.io.schema import SHARED, MachineKeys
 
     keys = _section(MachineKeys, source)
     check_machine(source)
@@ -186,21 +186,17 @@ def _machine(source: Source, path: Path) -> Machine:
     given = {key: value for key, value in asdict(keys.simulation).items() if value is not None}
     return Machine(
         name=name,
-        description=keys.description,
-        geometry=keys.geometry,
         joints=tuple(Joint(joint, *ends) for joint, ends in ranges.items()),
         cylinders=tuple(_cylinder(joint, getattr(keys.cylinders, joint), ends) for joint, ends in ranges.items()),
         bodies=tuple(Body(name=name, **asdict(body)) for name, body in keys.bodies.items()),
         payload_along=keys.payload.along,
         payload_above=keys.payload.above,
-        valve=keys.valve,
         pump=keys.pump,
-        driven_velocity=keys.driven_velocity,
         coriolis=keys.dynamics.coriolis,
         slewing_inertia=keys.dynamics.slewing_inertia,
-        gravity=keys.gravity,
         circuit=replace(keys.valve.circuit, **given),
         provenance=_provenance(source),
+        **{name: getattr(keys, name) for name in SHARED},
     )
 
 
@@ -217,11 +213,12 @@ def _name(keys: object, source: Source, path: Path) -> str:
 
 def _cylinder(name: str, keys: Any, ends: tuple[float, float]) -> Cylinder:
     from leanboom.io.checks import areas, size, stroke
+    from leanboom.io.schema import AREAS
 
     found = areas(size(keys))
     assert found is not None  # checked
     values = {field.name: getattr(keys, field.name) for field in fields(Cylinder) if field.name != "name"}
-    values |= {"piston_area": found[0], "rod_side_area": found[1]}
+    values |= zip(AREAS, found, strict=True)
     if keys.stroke is None:
         values["stroke"] = stroke(keys.linkage, *ends)
     return Cylinder(name, **values)

@@ -14,7 +14,7 @@ from leanboom.components.cylinders import Cylinder
 from leanboom.components.pumps import Pump
 from leanboom.model.machine import STANDARD_GRAVITY, Body, Joints, Machine
 from leanboom.model.task import Task
-from leanboom.quantities.declarations import Section, derived, file_of
+from leanboom.quantities.declarations import Section, declared, derived, file_of
 from leanboom.quantities.ranges import Refused, Rule
 from leanboom.quantities.rules import OneOrTwo
 from leanboom.quantities.types import Identifier, PositiveLength, Words
@@ -112,6 +112,9 @@ class MachineKeys:
     simulation: Annotated[Any, Section(CircuitKeys)] = CircuitKeys()
     """The hydraulics of the closed-loop simulation."""
     gravity: Any = STANDARD_GRAVITY
+
+
+SHARED = tuple(name for name in declared(MachineKeys) if name in declared(Machine))  # as they stand in `Machine`
 
 
 @file_of(Task)

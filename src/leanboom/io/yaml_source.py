@@ -87,7 +87,7 @@ class Source:
     def statuses(self) -> dict[Key, tuple[str, str]]:
         """Status and note of every scalar, from the comment that ends its line; ("unstated", "") without one.
 
-        A comment speaks for all values of its line: `bore: 120 mm  # printed: Table 1`.
+        A comment speaks for all values of its line: `mass: 120 kg  # printed: Table 1`.
         """
         rows = self.text.split("\n")
         last: dict[int, int] = {}
@@ -102,7 +102,7 @@ class Source:
 
 
 def dotted(key: Key) -> str:
-    """A key as written in messages and provenance: cylinders.lift.bore, path.points[1]."""
+    """A key as written in messages and provenance: cylinders.lift.stroke, path.points[1]."""
     text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in key)
     return shortened(text.removeprefix("."), 120)
 

@@ -56,7 +56,7 @@ def penalty(crane: cranes.Crane, cost: str) -> float:
     """
     machine = crane.machine
     fastest = tuple(c.velocity_limit for c in machine.cylinders)
-    strongest = tuple(c.piston_area * machine.pump.max_pressure for c in machine.cylinders)
+    strongest = tuple(c.push(machine.pump.max_pressure) for c in machine.cylinders)
     pumped = COSTS[cost].supply is not Supply.NONE
     return PENALTY * float(rate(crane, "cp" if pumped else cost, fastest, strongest))
 

@@ -328,8 +328,7 @@ def resolve(task: Task, start_position: float, variant: str = "actuator", step: 
     middle = cranes.plane(task.machine, sample(task, problem.time[:-1] + 0.5 * step))
     columns = (np.asarray(getattr(middle, field.name)).tolist() for field in fields(middle))
     points = [cranes.Plane(*values) for values in zip(*columns, strict=True)]
-    area_out = np.array([c.piston_area for c in cylinders])
-    area_in = np.array([c.rod_side_area for c in cylinders])
+    area_out, area_in = np.array([c.areas for c in cylinders]).T
     strokes = _strokes(problem.crane)
     single = all(len(intervals) == 1 for intervals in problem.intervals)
     viable = viable_strokes(problem, middle, points) if single else None

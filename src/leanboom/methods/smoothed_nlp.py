@@ -24,7 +24,7 @@ from leanboom.evaluation import ranking
 from leanboom.evaluation.evaluate import Evaluation
 from leanboom.formulas import hydraulics
 from leanboom.model import crane as cranes
-from leanboom.model.cost_rates import supply_of
+from leanboom.model.cost_rates import demand_of, supply_of
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import Kind, Outcome
 from leanboom.progress import Progress
@@ -89,14 +89,15 @@ def smooth_power(
     Returns:
         The power [kW].
     """
-    epsilon, sensing = crane.machine.driven_velocity, COSTS[cost].loads
+    sensing = COSTS[cost].loads
     constant, shaft = supply_of(crane.machine.pump, COSTS[cost].supply)
     flow, pressures = 0.0, []
-    for v, force, d in zip(moving.velocity, cranes.forces(pose, moving), crane.drives, strict=True):
+    for i, (v, force, d) in enumerate(zip(moving.velocity, cranes.forces(pose, moving), crane.drives, strict=True)):
+        epsilon, gain_out, back_out, gain_in, back_in = demand_of(crane, i)
         out, back = smooth_heaviside(v, sharpness), smooth_heaviside(-v, sharpness)
         flow = flow + v * (d.area_out * out - d.area_in * back)  # eq. (37)
-        pressure = (d.gain_out * force + d.back_out) * smooth_heaviside(v - epsilon, sharpness)
-        pressure = pressure + (d.back_in - d.gain_in * force) * smooth_heaviside(-v - epsilon, sharpness)
+        pressure = (gain_out * force + back_out) * smooth_heaviside(v - epsilon, sharpness)
+        pressure = pressure + (back_in - gain_in * force) * smooth_heaviside(-v - epsilon, sharpness)
         pressures.append(MEGA * pressure * smooth_heaviside(KILO * force * v, sharpness))  # eq. (41)
     supply = MEGA * constant
     if sensing:

@@ -26,33 +26,40 @@ def supply_of(pump: Pump, supply: Supply) -> tuple[float, Shaft]:
     return pump.ls_margin if supply is Supply.LOAD_SENSING else pump.constant_pressure, shaft_of(pump)
 
 
+def demand_of(crane: Crane, cylinder: int) -> tuple[float, float, float, float, float]:
+    """Constants of the pressure that a cylinder, by its number, demands: of `hydraulics.counted_pressure`, in order."""
+    d = crane.drives[cylinder]
+    return crane.machine.driven_velocity, d.gain_out, d.back_out, d.gain_in, d.back_in
+
+
 def demanded_pressure(crane: Crane, cylinder: int, velocity: Any, force: Any) -> Any:
     """Pressure that a cylinder, by its number, demands of a load-sensing pump [Pa]. Eq. (41)."""
-    d = crane.drives[cylinder]
-    line = d.gain_out, d.back_out, d.gain_in, d.back_in
-    return hydraulics.counted_pressure(velocity, force, crane.machine.driven_velocity, *line)
+    return hydraulics.counted_pressure(velocity, force, *demand_of(crane, cylinder))
 
 
-def rate(crane: Crane, cost: str, velocity: Sequence[Any], force: Sequence[Any]) -> Any:
+def rate(
+    crane: Crane, cost: str, velocity: Sequence[Any], force: Sequence[Any], others: Sequence[Any] = (0.0, 0.0, 0.0)
+) -> Any:
     """Rate of a cost: eqs. (36) and (43), and the other costs of the papers' comparisons.
 
     Args:
         crane: The crane.
         cost: A name of `costs.COSTS`.
-        velocity: Velocity of each cylinder [m/s], arrays that broadcast.
-        force: Force of each cylinder [N]; only read where loads count.
+        velocity: Velocity of each cylinder, or of the last ones [m/s], arrays that broadcast.
+        force: Force of each of them [N]; only read where loads count.
+        others: What cylinders before them add: pump flow [m^3/s], demanded pressure [Pa], rate of the other terms.
 
     Returns:
         Power [W], or squared velocity [m^2/s^2].
     """
     terms = terms_of(crane, cost)
     constant, shaft = supply_of(crane.machine.pump, terms.supply)
-    total, flow, highest = 0.0, 0.0, 0.0
-    for i, v in enumerate(velocity):
+    flow, highest, total = others
+    for i, v, f in zip(range(len(crane.drives))[-len(velocity) :], velocity, force, strict=True):
         total = total + terms.square[i] * v * v
         flow = flow + hydraulics.cylinder_flow(v, terms.area_out[i], terms.area_in[i])
         if terms.work:
-            total = total + hydraulics.positive_work(v, force[i])
+            total = total + hydraulics.positive_work(v, f)
         if terms.supply is Supply.LOAD_SENSING:  # eq. (40)
-            highest = np.maximum(highest, demanded_pressure(crane, i, v, force[i]))
+            highest = np.maximum(highest, demanded_pressure(crane, i, v, f))
     return total + hydraulics.pump_power(constant + highest, flow, *shaft)

@@ -181,6 +181,10 @@ class Machine:
         """The steady states of all cylinders on their valves, in joint order."""
         return tuple(self.valve.steady(cylinder, self.pump) for cylinder in self.cylinders)
 
+    def full_force(self, cylinder: Cylinder) -> float:
+        """Force of a cylinder under the constant-pressure system's supply [N]."""
+        return cylinder.push(self.pump.constant_pressure)
+
     @property
     def redundant(self) -> Cylinder:
         """The cylinder whose motion is planned: the extension."""

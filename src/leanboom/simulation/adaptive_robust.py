@@ -77,14 +77,14 @@ class _Function:
         valve = machine.valve
         if not valve.separate:
             raise InputError("controller = adaptive-robust; drives independent metering, the machine has another valve")
-        self._a, self._b = cylinder.piston_area, cylinder.rod_side_area
+        self._a, self._b = cylinder.areas
         self._travel = plant.retracted(cylinder, joint.lower, joint.upper)[1]
         self._dead, self._bulk = machine.circuit.dead_volume, machine.circuit.bulk_modulus
         self._rest, self._zone = valve.resting(machine.pump, machine.circuit), machine.circuit.dead_zone
         edges = valve.edges(cylinder, machine.circuit)
         self._full = edges.supply * math.sqrt(edges.drop)  # flow of an open edge [m^3/s]
         self._step, self._load = step, 0.0
-        self._most = machine.pump.max_pressure * self._a
+        self._most = cylinder.push(machine.pump.max_pressure)
         self._wanted: tuple[float, float] | None = None  # pressures wanted last, smoothed
         self._direction = 0.0
         self._least = machine.driven_velocity

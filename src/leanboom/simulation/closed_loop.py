@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from leanboom.components.costs import PUMPS
+from leanboom.components.costs import PUMPS, Supply
 from leanboom.components.pump_power import shaft_of
 from leanboom.errors import InputError
 from leanboom.evaluation.evaluate import Evaluation, evaluate
 from leanboom.formulas import hydraulics, kinematics
+from leanboom.model.cost_rates import supply_of
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import COMPLETE, Kind, Outcome
 from leanboom.model.task import Task, sample
@@ -193,7 +194,7 @@ class _Run:
         state = controllers.resting(crane_plant, controllers.static_loads(crane_plant, start))
         state[crane_plant.layout.q] = start
         if pump == "cp":
-            state[crane_plant.layout.supply] = machine.pump.constant_pressure
+            state[crane_plant.layout.supply] = supply_of(machine.pump, Supply.CONSTANT)[0]
         self.states = np.empty((self.samples + 1, crane_plant.layout.size))
         self.states[0] = state
         self.reached = 0

@@ -31,8 +31,10 @@ from typing import Protocol
 
 import numpy as np
 
+from leanboom.components.costs import Supply
 from leanboom.components.valves import Connection
 from leanboom.errors import InputError
+from leanboom.model.cost_rates import supply_of
 from leanboom.model.crane import Crane
 from leanboom.simulation import plant as plants
 from leanboom.simulation.integrator import Integrator
@@ -169,7 +171,7 @@ def _measure(crane: Crane) -> tuple[np.ndarray, ...]:
     held, averaged = round(HELD / RIG_STEP), round(AVERAGED / RIG_STEP)
     edges = np.zeros((held + 12, 4 * layout.n))
     start = resting(plant, load)
-    start[layout.supply] = machine.pump.constant_pressure
+    start[layout.supply] = supply_of(machine.pump, Supply.CONSTANT)[0]
     found: list[list[list[float]]] = [[] for _ in range(layout.n)]
     for level in levels:
         into, out = fluid.opening(level, zone), fluid.opening(-level, zone)
@@ -208,7 +210,7 @@ def resting(plant: Plant, load: np.ndarray) -> np.ndarray:
     state = np.zeros(layout.size)
     rest = machine.valve.resting(machine.pump, machine.circuit)
     for i, (cylinder, force) in enumerate(zip(machine.cylinders, load, strict=True)):
-        area_a, area_b = cylinder.piston_area, cylinder.rod_side_area
+        area_a, area_b = cylinder.areas
         low = machine.pump.tank_pressure if cylinder.connection is Connection.SINGLE_ACTING else rest
         a = (force + low * area_b) / area_a
         b = low

@@ -77,7 +77,7 @@ def find(
             low = lowest[begin : end + 1].min() / 1e6
             text = f"the {name} cylinder's oil cavitates, {low - tank / 1e6:.2f} MPa against the tank"
             found.append(_event("cavitation", name, time, begin, end, text))
-        for begin, end in _spans(_pressed(observed["end"][:, i], cylinder.piston_area * pump.constant_pressure), time):
+        for begin, end in _spans(_pressed(observed["end"][:, i], machine.full_force(cylinder)), time):
             which = "retracted" if observed["end"][begin : end + 1, i].sum() > 0.0 else "extended"
             found.append(_event("end", name, time, begin, end, f"the {name} cylinder runs into its {which} end"))
         speed = np.abs(arrays["velocity"][:, i])

@@ -24,9 +24,11 @@ from typing import Any
 
 import numpy as np
 
+from leanboom.components.costs import Supply
 from leanboom.components.valves import Connection
 from leanboom.formulas import dynamics, fluid
 from leanboom.model import crane as cranes
+from leanboom.model.cost_rates import supply_of
 from leanboom.model.crane import Crane
 from leanboom.model.machine import Cylinder, Machine
 from leanboom.model.task import Task
@@ -202,7 +204,7 @@ def _crane_motion(crane: Crane, q: list, v: list) -> Mechanism:
         level = cylinder.friction.coulomb
         if cylinder.friction.steps is not None:
             level = level * dynamics.stepped_coulomb(q[-1], *cylinder.friction.steps)
-        full = machine.pump.constant_pressure * cylinder.piston_area
+        full = machine.full_force(cylinder)
         level = level + machine.circuit.seal_friction * full
         viscous = cylinder.friction.viscous + machine.circuit.seal_damping * full / cylinder.velocity_limit
         position.append(length - retracted(cylinder, joint.lower, joint.upper)[0])
@@ -270,7 +272,7 @@ def _hydraulics(machine: Machine, moving: Mechanism, a: list, b: list, supply: V
     force, end, rate_a, rate_b, sense, starved = [], [], [], [], [], []
     taken = valve_loss = friction_loss = oil = 0.0
     for i, (cylinder, joint) in enumerate(zip(machine.cylinders, machine.joints, strict=True)):
-        area_a, area_b = cylinder.piston_area, cylinder.rod_side_area
+        area_a, area_b = cylinder.areas
         x, v = moving.position[i], moving.velocity[i]
         travel = retracted(cylinder, joint.lower, joint.upper)[1]
         section = valve_sections.section(machine, cylinder)
@@ -284,7 +286,7 @@ def _hydraulics(machine: Machine, moving: Mechanism, a: list, b: list, supply: V
         if cylinder.connection is Connection.SINGLE_ACTING:  # open to the tank: no pressure to speak of
             change_b, work_b = 0.0 * v, 0.0
             valve_loss = valve_loss + b[i] * area_b * v
-        stiffness = area_a * pump.constant_pressure / END_TRAVEL
+        stiffness = machine.full_force(cylinder) / END_TRAVEL
         force.append(area_a * a[i] - area_b * b[i])
         end.append(fluid.end_force(x, v, travel, stiffness))
         rate_a.append(change_a)
@@ -301,7 +303,7 @@ def _hydraulics(machine: Machine, moving: Mechanism, a: list, b: list, supply: V
     for pressure in sense[1:]:
         highest = np.maximum(highest, pressure)
     sensed = np.minimum(np.maximum(highest, 0.0) + pump.ls_margin, pump.max_pressure)
-    wanted = u[-1] * sensed + (1.0 - u[-1]) * pump.constant_pressure
+    wanted = u[-1] * sensed + (1.0 - u[-1]) * supply_of(pump, Supply.CONSTANT)[0]
     line = bulk / circuit.line_volume
     change = fluid.supply_rate(wanted, supply, circuit.pump_time_constant, pump.max_flow - taken, line)
     filling = taken + change / line
