@@ -62,4 +62,5 @@ def rate(
             total = total + hydraulics.positive_work(v, f)
         if terms.supply is Supply.LOAD_SENSING:  # eq. (40)
             highest = np.maximum(highest, demanded_pressure(crane, i, v, f))
-    return total + hydraulics.pump_power(constant + highest, flow, *shaft)
+    supply = constant + highest if terms.supply is Supply.LOAD_SENSING else constant
+    return total + hydraulics.pump_power(supply, flow, *shaft)
