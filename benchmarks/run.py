@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import os
 import platform
-import resource
 import subprocess
 import sys
 import tempfile
@@ -104,9 +103,9 @@ def sweep_speed() -> None:
 def planning() -> None:
     title("Planning the half-cycle, warm, whole process")
     code = (
-        "import resource; import leanboom as lb; t = lb.load_task('forwarder-half-cycle'); "
+        "import leanboom as lb; from leanboom import resources; t = lb.load_task('forwarder-half-cycle'); "
         "lb.plan(t, pump={pump!r}); m = lb.plan(t, pump={pump!r}); "
-        "print(m.solve_s, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)"
+        "print(m.solve_s, resources.peak_memory())"
     )
     for pump in ("ls", "cp"):
         runs = [timed([sys.executable, "-c", code.format(pump=pump)])[1].split() for _ in range(3)]
@@ -117,11 +116,11 @@ def planning() -> None:
             f"peak memory {peak / 2**20:.0f} MiB, {8 * 2**30 / peak:.0f} times below the papers' 8 GB"
         )
     code = (
-        "import resource; import leanboom as lb; from leanboom.dynamic_programming import grids, value_function; "
-        "from leanboom.problem import stages; "
+        "import leanboom as lb; from leanboom import resources; from leanboom.problem import stages; "
+        "from leanboom.dynamic_programming import grids, value_function; "
         "p = stages.discretise(lb.load_task('forwarder-vertical'), 0.05); "
         "value_function.solve(p, grids.full_grid(p, 356, 101), 'ls'); "
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)"
+        "print(resources.peak_memory())"
     )
     peak = float(timed([sys.executable, "-c", code])[1])
     print(f"sweep alone at 356 x 101: peak memory {peak / 2**20:.0f} MiB, {8 * 2**30 / peak:.0f} times below 8 GB")
@@ -275,7 +274,7 @@ def main() -> None:
     if arguments.certificate:
         title("Certificate: gap against time")
         certificate.table(list(lb.bundled_tasks()), list(STARTS), list(certificate.PUMPS), 120.0, 0.5)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
+    peak = resources.peak_memory() / 2**20
     print(f"\nall of this: {time.perf_counter() - began:.0f} s, peak memory {peak:.0f} MiB")
 
 

@@ -95,7 +95,7 @@ def test_help_starts_without_heavy_imports():
         "import sys; from leanboom.cli import app as cli; sys.argv = ['leanboom', 'plan', '--help']\n"
         "try: cli.main()\n"
         "except SystemExit as end: assert end.code == 0\n"
-        "print(sorted({'numba', 'plotly', 'numpy', 'scipy', 'casadi', 'pint', 'jinja2'} & set(sys.modules)))"
+        "print(sorted({'numba', 'plotly', 'numpy', 'scipy', 'casadi', 'pint', 'jinja2', 'psutil'} & set(sys.modules)))"
     )
     answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert answer.stdout.splitlines()[-1] == "[]"

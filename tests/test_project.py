@@ -18,7 +18,7 @@ SOURCES = sorted(PACKAGE.rglob("*.py"))
 MAX_LINES = 500
 MOST_MODULES = 11  # of a folder
 COMPILERS = {"njit", "jit", "vectorize", "guvectorize", "cfunc"}
-HEAVY = ("numba", "casadi", "maptor", "plotly", "pint", "matplotlib", "jinja2")
+HEAVY = ("numba", "casadi", "maptor", "plotly", "pint", "matplotlib", "jinja2", "psutil")
 
 # In two parts, or this file would be its own first finding.
 HOSTS = (

@@ -17,6 +17,7 @@ from pathlib import Path
 import leanboom as lb
 from benchmarks.peers.roster import PEERS, register
 from benchmarks.peers.table import Measured
+from leanboom import resources
 from leanboom.dynamic_programming import value_function
 from leanboom.methods.registry import METHODS
 from leanboom.planning import planner
@@ -38,15 +39,11 @@ def measure(name: str, start: str, pump: str, peer: str) -> Measured:
     try:
         plan = planner.run(task, pump=pump, method=peer, baseline=False, check=False, progress=tell)
     except lb.LeanboomError as error:
-        return Measured(peer, time.process_time() - began, peak(), remark=str(error))
-    seconds, memory, judged, log = time.process_time() - began, peak(), plan.evaluation, plan.motion.log
+        return Measured(peer, time.process_time() - began, resources.peak_memory(), remark=str(error))
+    seconds, memory = time.process_time() - began, resources.peak_memory()
+    judged, log = plan.evaluation, plan.motion.log
     remark = "; ".join([judged.status, *(log if len(log) == 1 else ())])
     return Measured(peer, seconds, memory, judged.energy(pump), judged.worst_use, judged.feasible, remark)
-
-
-def peak() -> int:
-    """The most memory this process has taken [bytes]."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def main() -> None:

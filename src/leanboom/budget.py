@@ -6,7 +6,6 @@ by the clock at the latest. On an idle machine both are nearly the same.
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import dataclass, field
 
@@ -17,8 +16,7 @@ PATIENCE = 2.0  # times the seconds asked for, by the clock, after which a budge
 
 def processors() -> int:
     """Processors that the threads of this process can use at once."""
-    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(resources.threads(), there)
+    return min(resources.threads(), resources.cores())
 
 
 @dataclass(frozen=True, slots=True)

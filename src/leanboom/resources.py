@@ -1,9 +1,10 @@
-"""What the machine that computes has to give: free memory."""
+"""What the machine that computes has to give: memory and cores."""
 
 from __future__ import annotations
 
 import os
 import re
+import sys
 
 from leanboom.errors import InputError
 
@@ -11,15 +12,32 @@ USABLE = 0.8  # share of the free memory that may be taken
 
 
 def free_memory() -> float:
-    """Memory this process may still take [bytes]; a generous guess where the system does not say."""
-    try:
-        with open("/proc/meminfo", encoding="ascii") as file:
-            for line in file:
-                if line.startswith("MemAvailable"):
-                    return float(line.split()[1]) * 1024.0
-    except OSError:
-        pass
-    return 4.0 * 2**30
+    """Memory this process may still take [bytes]."""
+    import psutil
+
+    return float(psutil.virtual_memory().available)
+
+
+def peak_memory() -> int:
+    """The most memory this process has taken [bytes]."""
+    if sys.platform == "win32":
+        import psutil
+
+        return psutil.Process().memory_info().peak_wset
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
+
+
+def cores() -> int:
+    """Cores that this process may use: fewer than there are where it is kept to some."""
+    import psutil
+
+    process = psutil.Process()
+    if hasattr(process, "cpu_affinity"):  # not on macOS
+        return len(process.cpu_affinity())
+    return psutil.cpu_count() or 1
 
 
 def check_memory(need: float, what: str, change: str, limit: float | None = None) -> None:
@@ -37,10 +55,10 @@ def check_memory(need: float, what: str, change: str, limit: float | None = None
 
 
 def threads() -> int:
-    """Threads a sweep may use: LEANBOOM_THREADS where set, else the processors of this process."""
+    """Threads a sweep may use: LEANBOOM_THREADS where set, else the cores of this process."""
     wanted = os.environ.get("LEANBOOM_THREADS", "")
     if wanted:
         if not re.fullmatch("[0-9]{1,6}", wanted) or int(wanted) < 1:
             raise InputError(f"LEANBOOM_THREADS = {wanted}; must be a whole number from 1 on")
         return int(wanted)
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return cores()

@@ -83,8 +83,7 @@ def _named(result: Plan) -> str:
 def _facts(result: Plan) -> list[tuple[str, str]]:
     """What was found and how, labelled."""
     motion, judged = result.motion, result.evaluation
-    peak = result.peak_memory_bytes
-    memory = "" if peak is None else f", {peak / 2**20:.0f} MiB at most"
+    memory = f", {result.peak_memory_bytes / 2**20:.0f} MiB at most"
     return [
         ("Method", f"{motion.method}, minimising {motion.cost}"),
         ("Start", f"{length(motion.position[0])} of the extension cylinder"),

@@ -7,14 +7,13 @@ from, the judge measures it, and the best feasible one wins.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leanboom import compiling
+from leanboom import compiling, resources
 from leanboom.certificate import certificate, lower_bounds, upper_bound
 from leanboom.certificate.certificate import Certificate
 from leanboom.components.costs import COSTS, PUMPS
@@ -45,7 +44,7 @@ class Plan:
     motion: Motion
     evaluation: Evaluation
     baseline: Evaluation | None  # sns-actuator from the same start
-    peak_memory_bytes: int | None  # None where the system does not say
+    peak_memory_bytes: int
     certificate: Certificate | None = None  # of the effort `thorough`
 
     @property
@@ -192,7 +191,7 @@ def run(
         best = replace(best, violations=(status, *best.violations[1:]))
     other = pseudo_inverse.baseline(task, float(done.position[0])) if baseline else None
     tell("done", 1.0)
-    found = Plan(task, pump, done, best, other, _peak_memory(), certified)
+    found = Plan(task, pump, done, best, other, resources.peak_memory(), certified)
     if check and not best.feasible:
         raise InfeasibleError(status, plan=found, evaluation=best)
     return found
@@ -230,16 +229,6 @@ class _Proof:
         if again.keeps_limits and again.energy < self.made.energy_j:
             return replace(self.made, motion=again.motion, energy_j=again.energy)
         return self.made
-
-
-def _peak_memory() -> int | None:
-    """The most memory this process has taken [bytes]; None where the system does not say."""
-    try:
-        import resource  # not on Windows
-    except ImportError:
-        return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else 1024 * peak
 
 
 def _check(

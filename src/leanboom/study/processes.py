@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from multiprocessing import connection
 from typing import Any
 
+from leanboom import resources
 from leanboom.errors import LeanboomError
 
 PRELOADED = (
@@ -36,14 +37,6 @@ class CallResult:
     def failed(self) -> bool:
         """Whether there is no value."""
         return bool(self.failure)
-
-
-def cores() -> int:
-    """Cores that this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on this system
-        return os.cpu_count() or 1
 
 
 def each(
@@ -75,7 +68,7 @@ def each(
     running: dict[Any, tuple[int, Any, list]] = {}
     try:
         while waiting or running:
-            while waiting and len(running) < max(1, workers or cores()):
+            while waiting and len(running) < max(1, workers or resources.cores()):
                 index = waiting.pop()
                 here, there = context.Pipe(duplex=False)
                 process = context.Process(target=_call, args=(there, function, arguments[index]), daemon=True)
