@@ -184,22 +184,6 @@ def test_smoothed_steps_and_maxima():
 
 
 @pytest.mark.parametrize("cost", ["ls", "cp"])
-def test_the_smoothed_power_tends_to_what_the_judge_counts(task, cost):
-    """Where no cylinder is within a hair of a switch."""
-    time = np.linspace(0.0, 4.0, 81)
-    motion = from_velocities(0.05, start_of(task), 0.1 * np.sin(np.pi * time / 4.0), "test", cost)
-    judged = evaluate(task, motion)
-    crane = cranes.build(task)
-    pose = cranes.pose(crane, cranes.plane(task.machine, sample(task, judged.time)), judged.length[:, -1])
-    moving = cranes.move(pose, judged.velocity[:, -1], judged.acceleration[:, -1])
-    smooth = smoothed_nlp.smooth_power(crane, pose, moving, cost, 1e6, 1e-8)
-    hair = np.abs(np.abs(judged.velocity) - task.machine.driven_velocity).min(axis=1) < 1e-4
-    power = 1e-3 * (judged.power_ls if cost == "ls" else judged.power_cp)
-    assert hair.mean() < 0.1
-    assert np.abs(smooth - power)[~hair].max() < 1e-3 * power.max()
-
-
-@pytest.mark.parametrize("cost", ["ls", "cp"])
 def test_collocation_and_polish_agree_on_a_short_smooth_task(task, cost):
     """Within 1 %: smoothing and damping here, stages of 0.05 s and, for LS, another basin there."""
     motion = pseudospectral.plan(task, cost, start_of(task))

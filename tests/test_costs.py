@@ -8,13 +8,11 @@ import pytest
 from leanboom import load_task
 from leanboom.components import costs
 from leanboom.components.costs import COSTS, Cost, Supply
-from leanboom.dynamic_programming import bellman, grids
 from leanboom.errors import InputError
 from leanboom.evaluation.evaluate import judged_cost
 from leanboom.model import cost_rates
 from leanboom.model import crane as cranes
 from leanboom.planning import planner
-from leanboom.problem import layout, stage_arrays, stages
 
 MIXED = Cost(
     "mixed", "constant-pressure energy, and the lift cylinder's squared velocity",
@@ -53,41 +51,6 @@ def test_work_and_a_load_sensing_supply_do_not_go_together():
 def test_a_pump_without_name_is_refused():
     with pytest.raises(InputError, match="pump = LS; must be one of ls, cp"):
         costs.of_pump("LS", 1, 2)
-
-
-@pytest.mark.parametrize("cost", [*COSTS, "mixed"])
-@pytest.mark.parametrize("name", ["forwarder-vertical", "loader-triangle-small"])
-def test_kernel_and_formulas_count_one_rate(mixed, name, cost):
-    """At random states: what the sweep charges, and the formulas."""
-    task = load_task(name, start="middle")
-    problem = stages.discretise(task, 0.1)
-    table = grids.tables(problem, grids.full_grid(problem, 7, 5), cost)
-    setting = stage_arrays.setting(problem, cost, (0.0, 0.0, 0.0, 0.0))
-    rng, count = np.random.default_rng(5), 0
-    for _ in range(40):
-        k, p = int(rng.integers(1, problem.stages)), int(rng.integers(1, 6))
-        c = table.stage[k, layout.C_LO] + p * table.stage[k, layout.DC]
-        w, u = np.array([0.05, 0.12]) * rng.choice([-1.0, 1.0]), 0.1 * rng.normal()
-        pose = cranes.pose(problem.crane, problem.plane[k], c)
-        moving = cranes.move(pose, w[0], u)
-        velocity, force = moving.velocity, cranes.forces(pose, moving)
-        speeds, epsilon = np.abs([float(v) for v in velocity]), task.machine.driven_velocity
-        if np.any((speeds > 0.5 * epsilon) & (speeds < 2.0 * epsilon)):
-            continue  # beside a threshold planning and judging differ on purpose
-        wanted = float(cost_rates.rate(problem.crane, cost, velocity, force))
-        row = bellman.empty_row(2, table.coefficients.shape[2], 2)
-        bellman.limit_controls(table.coefficients[k, p], 0.0, w, k, table.stage, table.cylinder, setting, row)
-        row.state[bellman.BASE, :2] = problem.step * table.stage[k, layout.FIXED_COST]
-        node, lowest = table.coefficients[k, p], table.stage[k, layout.FIXED_PRESSURE]
-        bellman.charge(node, w, k, table.stage, table.cylinder, setting, row)
-        charged = row.state[bellman.BASE, 0]
-        if COSTS[cost].loads:
-            bellman.load_lines(node, w, table.cylinder, setting, lowest, row)
-            asked = bellman.running_cost(u, 0, bool(setting[layout.SENSING]), lowest, row.line)
-            charged += row.state[bellman.RATE, 0] * asked
-        assert charged == pytest.approx(problem.step * wanted, rel=1e-9, abs=1e-9)
-        count += 1
-    assert count > 5
 
 
 def test_a_new_cost_is_planned_polished_and_judged(mixed):

@@ -11,11 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import slow_reference as slow
-from leanboom.dynamic_programming import bellman, grids, sweeps, value_function
-from leanboom.formulas import hydraulics
-from leanboom.io.loading import load_task
-from leanboom.model import crane as cranes
-from leanboom.problem import layout, stage_arrays, stages
+from leanboom.dynamic_programming import bellman, sweeps, value_function
+from leanboom.problem import layout
 from slow_reference import Small
 
 SEED = st.integers(0, 2**32 - 1)
@@ -410,62 +407,6 @@ def test_arrays_that_are_passed_in_are_not_changed():
     swept(small)
     for array, old in zip((*small.arrays, small.terminal), before, strict=True):
         np.testing.assert_array_equal(array, old)
-
-
-# A real crane: tables, kernel and the crane's formulas say the same
-
-
-@pytest.mark.parametrize("name", ["forwarder-half-cycle", "loader-triangle-large"])
-@COST
-def test_stage_cost_on_a_node_is_the_cost_by_the_crane_formulas(name, cost):
-    """The control is pinned by a grid ahead with one tiny velocity interval, and the value ahead is zero."""
-    task = load_task(name)
-    problem = stages.discretise(task, 0.5)
-    grid = grids.full_grid(problem, 9, 5)
-    table = grids.tables(problem, grid, cost)
-    machine, crane = task.machine, problem.crane
-    setting = stage_arrays.setting(problem, cost, (0.0, 0.0, 0.0, 0.0))
-    rng = np.random.default_rng(11)
-    moving = range(len(machine.cylinders))[problem.moving]
-    driven = stage_arrays.HELD * machine.driven_velocity
-    counted = 0
-    for _ in range(150):
-        k, p = int(rng.integers(problem.stages)), int(rng.integers(9))
-        w, u = rng.uniform(-0.3, 0.3), rng.uniform(-0.3, 0.3)
-        c = float(table.stage[k, layout.C_LO] + p * table.stage[k, layout.DC])
-        stage = table.stage.copy()
-        stage[k + 1, [layout.W_LO, layout.DW]] = w + problem.step * u, 1e-12
-        pose = cranes.pose(crane, problem.plane[k], c)
-        state = cranes.move(pose, w, u)
-        if any(abs(state.acceleration[i]) > machine.cylinders[i].acceleration_limit for i in moving):
-            continue  # such a control is not admissible, so it cannot be pinned
-        counted += 1
-        node = table.coefficients[k, p]
-        value, used = best_of_one(node, 0.0, c, w, k, stage, table.cylinder, setting, np.zeros((9, 2)))
-        assert used == pytest.approx(u, abs=1e-9)
-        forces = cranes.forces(pose, state)
-        flow, pressure, work, square = 0.0, 0.0, 0.0, 0.0
-        for i, (v, force, d) in enumerate(zip(state.velocity, forces, crane.drives, strict=True)):
-            epsilon = driven if i in moving else machine.driven_velocity
-            flow += float(hydraulics.cylinder_flow(v, d.area_out, d.area_in))
-            asked = hydraulics.counted_pressure(v, force, epsilon, d.gain_out, d.back_out, d.gain_in, d.back_in)
-            pressure = max(pressure, float(asked))
-            work += float(hydraulics.positive_work(v, force))
-            square += float(v) ** 2
-        regained = sum(
-            float(v) * (y.piston_area - y.rod_side_area) for v, y in zip(state.velocity, machine.cylinders, strict=True)
-        )
-        pump = machine.pump
-        wanted = {
-            "ls": (pressure + pump.ls_margin) * flow / pump.efficiency,
-            "cp": pump.constant_pressure * flow / pump.efficiency,
-            "actuator": work,
-            "velocity": square,
-            "extension": w * w,
-            "recuperation": pump.constant_pressure * regained / pump.efficiency,
-        }[cost]
-        assert value == pytest.approx(problem.step * wanted, rel=1e-6, abs=1e-6)
-    assert counted > 25
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
