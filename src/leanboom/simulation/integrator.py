@@ -58,8 +58,8 @@ class Integrator:
         pressures = slice(layout.a.start, layout.supply + 1)
         for part, value in zip((layout.q, layout.v, pressures, layout.energy), ABSOLUTE, strict=True):
             absolute[part] = value * tolerance / TOLERANCE
-        # The solver takes its Jacobian by differences: an exact one misleads it at the model's kinks (docs/simulation.md),
-        # and some releases of SciPy read a given one transposed.
+        # The solver takes its Jacobian by differences: an exact one misleads it at the model's kinks, as measured in
+        # docs/simulation.md, and some releases of SciPy read a given one transposed.
         self._solver = ode(self._right)
         self._solver.set_integrator(
             "vode", method="bdf", with_jacobian=True, rtol=tolerance, atol=absolute, order=5, nsteps=20000,
