@@ -6,7 +6,6 @@ A consumer is one function from a state and a cost to what it makes of them, by 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -41,7 +40,7 @@ PUMPS = ("ls", "cp")
 MACHINES = ("forwarder-half-cycle", "loader-triangle-small")
 MAP = "loader with an efficiency map"
 CLEAR = 0.006  # [m/s]: slower cylinders' friction changes sign, and beside the threshold planners keep a distance
-COUNT = 5  # states
+COUNT = 8  # states
 HELD = 0.3e6  # [Pa]
 
 
@@ -80,14 +79,14 @@ def the_formulas(state: State, cost: str) -> dict[str, Any]:
     crane, moving = state.problem.crane, state.moving
     cylinders, machine, force = crane.machine.cylinders, crane.machine, cranes.forces(state.pose, moving)
     terms, pump = COSTS[cost].terms(cylinders, crane.drives), machine.pump
-    total, flow, pressure = 0.0, 0.0, 0.0
+    total, flow, pressures = 0.0, 0.0, []
     for i, (v, f, d) in enumerate(zip(moving.velocity, force, crane.drives, strict=True)):
         total += terms.square[i] * v * v + (hydraulics.positive_work(v, f) if terms.work else 0.0)
         flow += hydraulics.cylinder_flow(v, terms.area_out[i], terms.area_in[i])
         line = d.gain_out, d.back_out, d.gain_in, d.back_in
-        pressure = max(pressure, hydraulics.counted_pressure(v, f, machine.driven_velocity, *line))
+        pressures.append(float(hydraulics.counted_pressure(v, f, machine.driven_velocity, *line)))
     if terms.supply is not Supply.NONE:
-        supply = pump.ls_margin + pressure if terms.supply is Supply.LOAD_SENSING else pump.constant_pressure
+        supply = pump.ls_margin + max(pressures) if terms.supply is Supply.LOAD_SENSING else pump.constant_pressure
         total += hydraulics.pump_power(supply, flow, *shaft_of(pump))
     still, push = (np.array(cranes.move(state.pose, state.w, u).acceleration) for u in (0.0, 1.0))
     kept = state.problem.moving
@@ -100,7 +99,7 @@ def the_formulas(state: State, cost: str) -> dict[str, Any]:
         "rate": float(total), "velocity": np.array(moving.velocity), "acceleration": np.array(moving.acceleration),
         "force": np.array(force), "window": window, "allowed": bool(window[0] <= state.u <= window[1]),
         "excess": float(np.maximum(excess[kept], 0.0).sum()), "joints": np.array(moving.joint_acceleration),
-        "hardest": limit,
+        "hardest": limit, "pressure": np.array(pressures),
     }  # fmt: skip
 
 
@@ -198,7 +197,7 @@ def judge(state: State, cost: str) -> dict[str, Any]:
     power = found.power_ls if cost == "ls" else found.power_cp
     return {
         "rate": power[at], "velocity": found.velocity[at], "acceleration": found.acceleration[at],
-        "force": found.force[at], "joints": found.joint_acceleration[at],
+        "force": found.force[at], "pressure": found.pressure[at], "joints": found.joint_acceleration[at],
     }  # fmt: skip
 
 
@@ -217,12 +216,15 @@ def steady_plant(state: State, cost: str) -> dict[str, Any]:
         flow += valve_sections.flows(section, shares, *pressures, high).pump
     y[built.layout.supply], u[-1] = high, cost == "ls"
     seen = dict(zip(plant.OBSERVED, built.observe(y, u), strict=True))
-    supply = float(seen["wanted"])
-    rates = np.array(built.rates(y, u)).ravel()
-    return {
-        "rate": hydraulics.pump_power(supply, flow, *shaft_of(machine.pump)),
+    supply, against = float(seen["wanted"]), np.array(force) * moving.velocity > 0.0  # a load ahead asks for nothing
+    rates, sense = np.array(built.rates(y, u)).ravel(), np.array(seen["sense"]).ravel()
+    counted = np.where(against, sense, 0.0)
+    # Where a load that runs ahead is all that the pump senses, planning counts nothing.
+    known = cost == "cp" or counted.max() == sense.max()
+    return ({"rate": hydraulics.pump_power(supply, flow, *shaft_of(machine.pump))} if known else {}) | {
         "force": np.array(seen["force"]).ravel(), "joints": rates[built.layout.v][-3:],
         "velocity": np.array(built.measure(y)).ravel()[n:],
+        "pressure": counted,
     }  # fmt: skip
 
 
@@ -264,11 +266,15 @@ def steady(section, machine, cylinder, v, force, supply):
     def lacks(into, leaving):
         return flows(into, *leaving(into))[0][filling]
 
+    def opened(leaving):
+        return brentq(lacks, 1e-3, 1.0, (leaving,), xtol=1e-14)
+
     leaving = settled
-    if not single and (lacks(1e-3, settled) > 0.0 or chambers(settled(0.1)[1])[filling] < HELD):
+    fills_by_itself = lacks(1e-3, settled) > 0.0
+    if not single and (fills_by_itself or chambers(settled(opened(settled))[1])[filling] < HELD):
         at = held((area_a * HELD - force) / area_b if out else (area_b * HELD + force) / area_a)
         leaving = lambda into: at  # noqa: E731
-    into = brentq(lacks, 1e-3, 1.0, (leaving,), xtol=1e-14)
+    into = opened(leaving)
     share, emptied = leaving(into)
     return chambers(emptied), flows(into, share, emptied)[1]
 
@@ -294,19 +300,28 @@ def tasks() -> dict[str, Task]:
 PROBLEMS = {name: stages.discretise(task, 0.1) for name, task in tasks().items()}
 
 
-def states(name: str, fastest: float) -> Iterator[State]:
-    """Random states in which no cylinder is near to being held."""
+@lru_cache
+def states(name: str, fastest: float) -> list[State]:
+    """Random states in which no cylinder is near to being held; in every second one, where found, all loads run ahead.
+
+    In every fourth the acceleration is beyond the limits.
+    """
     rng, problem = np.random.default_rng(11), PROBLEMS[name]
-    count = 0
-    while count < COUNT:
+    found: list[State] = []
+    for draw in range(3000):
+        if len(found) == COUNT:
+            break
         k = int(rng.integers(1, problem.stages - 2))
         c = problem.lower[k] + rng.uniform(0.2, 0.8) * (problem.upper[k] - problem.lower[k])
-        state = State(
-            problem, k, float(c), float(rng.choice([-1.0, 1.0]) * rng.uniform(0.03, fastest)), 0.3 * rng.normal()
-        )
-        if np.min(np.abs(state.moving.velocity)) > CLEAR:
-            count += 1
-            yield state
+        w = rng.choice([-1.0, 1.0]) * rng.uniform(0.03, 0.3 if len(found) % 2 else fastest)
+        state = State(problem, k, float(c), float(w), 0.3 * rng.normal() if len(found) % 4 < 3 else 2.0)
+        moving = state.moving
+        against = np.array(cranes.forces(state.pose, moving)) * moving.velocity > 0.0
+        if np.min(np.abs(moving.velocity)) > CLEAR and (
+            draw > 300 or len(found) % 2 != np.any(against[problem.moving])
+        ):
+            found.append(state)
+    return found
 
 
 CONSUMERS = {
