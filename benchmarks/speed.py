@@ -77,7 +77,7 @@ def mixed_share(policy) -> float:
                 t.outside[k, p],
             )
             bellman.best_controls(node, outside, c, w, k, t.stage, t.cylinder, policy.setting, ahead, row)
-            shares.append(row.state[bellman.MIXED, :velocities].mean())
+            shares.append(row.state[bellman.PIECEWISE, :velocities].mean())
     return float(np.mean(shares))
 
 

@@ -29,13 +29,13 @@ def rates(problem: Problem, pump: str, k, c, w, u) -> tuple[np.ndarray, np.ndarr
     pose = cranes.pose(crane, problem.plane[k], c)
     moving = cranes.move(pose, w, u)
     force = cranes.forces(pose, moving)
-    flow, pressure, _ = stage_arrays.prescribed(problem, pump)
+    flow, pressure, _ = stage_arrays.path_determined(problem, pump)
     flow, pressure, used = flow[k], pressure[k], np.zeros(c.shape)
     for i in range(len(machine.cylinders))[problem.moving]:
         d, v, cylinder = crane.drives[i], moving.velocity[i], machine.cylinders[i]
         flow = flow + hydraulics.cylinder_flow(v, d.area_out, d.area_in)
         line = (machine.driven_velocity, d.gain_out, d.back_out, d.gain_in, d.back_in)
-        pressure = np.maximum(pressure, hydraulics.counted_pressure(v, force[i], *line))
+        pressure = np.maximum(pressure, hydraulics.pressure_demand(v, force[i], *line))
         used = np.maximum(used, np.abs(v) / cylinder.velocity_limit)
         used = np.maximum(used, np.abs(moving.acceleration[i]) / cylinder.acceleration_limit)
     supply = pressure + machine.pump.ls_margin if pump == "ls" else machine.pump.constant_pressure

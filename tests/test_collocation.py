@@ -255,9 +255,9 @@ def test_what_is_exceeded_between_nodes_draws_in_the_limits_beside_it(task):
     velocity[41] = 1.25 * hardest * 0.05
     judged = evaluate(task, from_velocities(0.05, start_of(task), velocity, "test", "cp"))
     nodes = np.array([0.0, 1.0, 1.9, 2.3, 3.0, 4.0])
-    found, drawn = smoothed_nlp.exceeded(judged, nodes)
+    found, tightening = smoothed_nlp.exceeded(judged, nodes)
     assert found == pytest.approx(0.0)
-    assert drawn[:, -1] == pytest.approx(np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0]) * 1.2 * 0.25 * hardest, abs=1e-9)
+    assert tightening[:, -1] == pytest.approx(np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0]) * 1.2 * 0.25 * hardest, abs=1e-9)
 
 
 def test_costs_and_paths_that_cannot_be():

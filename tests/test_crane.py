@@ -366,7 +366,7 @@ def values(result):
 
 
 def test_all_formulas_are_found():
-    assert {"kinematics.lift_and_tilt", "linkages.four_bar", "dynamics.friction", "hydraulics.counted_pressure"} < set(
+    assert {"kinematics.lift_and_tilt", "linkages.four_bar", "dynamics.friction", "hydraulics.pressure_demand"} < set(
         FORMULAS
     )
     assert len(FORMULAS) >= 25

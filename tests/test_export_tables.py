@@ -78,7 +78,7 @@ def test_costs_from_the_file_are_those_of_the_kernels(name, pump, tmp_path, rng)
             low, high = row.state[bellman.LOW, : w.size], row.state[bellman.HIGH, : w.size]
             u = low + rng.uniform(0.01, 0.99, size=w.size) * (high - low)
             _, cost, broken = model(par, k, c, w, u)
-            wanted = row.state[bellman.BASE, : w.size].copy()
+            wanted = row.state[bellman.OFFSET, : w.size].copy()
             if pump == "ls":
                 asked = [bellman.running_cost(u[j], j, pump == "ls", lowest, row.line) for j in range(w.size)]
                 wanted += row.state[bellman.RATE, : w.size] * asked

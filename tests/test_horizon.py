@@ -63,7 +63,7 @@ def test_a_horizon_over_the_whole_path_is_one_plan():
 
 
 def test_the_price_pays_for_room_and_for_being_able_to_stop():
-    ends = receding_horizon.Price(low=1.0, high=3.0, room=0.5, worth=100.0, brake=0.5, slope=1e4)
+    ends = receding_horizon.TerminalCost(low=1.0, high=3.0, margin=0.5, value=100.0, brake=0.5, slope=1e4)
     price = [float(ends(np.array(c), np.array(0.0))) for c in (1.0, 1.25, 1.5, 2.0, 3.0)]
     assert price == pytest.approx([25.0, 6.25, 0.0, 0.0, 0.0])  # a triangle's area: 100 J/m over half of 0.5 m
     # 0.5 m/s needs 0.25 m to stop.
@@ -91,8 +91,8 @@ def test_room_is_worth_the_power_of_extending_by_a_metre_a_second():
         for c, f, _ in lines
     ]  # fmt: skip
     for cost, supply in (("ls", max(asked) + pump.ls_margin), ("cp", pump.constant_pressure)):
-        assert receding_horizon.price(problem, cost).worth == pytest.approx(
-            receding_horizon.WORTH * supply * flow / 0.8, rel=1e-9
+        assert receding_horizon.terminal_cost(problem, cost).value == pytest.approx(
+            receding_horizon.RETRACTION_VALUE * supply * flow / 0.8, rel=1e-9
         )
 
 

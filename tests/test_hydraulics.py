@@ -197,14 +197,14 @@ def test_reused_return_flow_is_that_of_equation_37_of_the_3dof_paper():
     assert hydraulics.cylinder_flow(-0.2, 2.0, -2.0) == pytest.approx(-0.4)
 
 
-# Counted pressures, eq. (41)
+# Demanded pressures, eq. (41)
 
 EPSILON = 0.002
 DRIVE = Drive(5e-3, 3e-3, 1 / 5e-3, 0.6e6, 1 / 3e-3, 2.0e6)
 
 
 def counted(v, F, drive=DRIVE, epsilon=EPSILON):
-    return hydraulics.counted_pressure(v, F, epsilon, drive.gain_out, drive.back_out, drive.gain_in, drive.back_in)
+    return hydraulics.pressure_demand(v, F, epsilon, drive.gain_out, drive.back_out, drive.gain_in, drive.back_in)
 
 
 @pytest.mark.parametrize(
@@ -251,7 +251,7 @@ def test_a_counted_pressure_is_never_negative(v, F):
 
 @given(v=SPEED, F=st.floats(1.0, 2e5))
 def test_a_pump_gives_at_least_the_work_its_cylinder_does(v, F):
-    """Counted pressure times pump flow covers force times velocity, extending and retracting."""
+    """Demanded pressure times pump flow covers force times velocity, extending and retracting."""
     for drive in (*FORWARDER.drives, *LOADER.drives):
         for sign in (1.0, -1.0):
             flow = hydraulics.cylinder_flow(sign * v, drive.area_out, drive.area_in)

@@ -97,7 +97,7 @@ def test_a_slide_up_and_out_also_lifts_its_load():
 
 
 def test_a_slide_back_down_is_paid_on_the_rod_side_without_counting_its_load():
-    """The load pushes the cylinder in: no counted pressure, only the margin over the rod-side volume."""
+    """The load pushes the cylinder in: no demanded pressure, only the margin over the rod-side volume."""
     task, motion, distance = along_the_boom(1.5, -0.9)
     task = replace(task, path=Lines(task.path.points[::-1], task.path.durations))
     judged = evaluate(task, from_velocities(SAMPLE, 0.9, -motion.velocity, "slide", "ls"))
@@ -152,7 +152,7 @@ def test_energy_is_the_integral_of_power(name):
 
 @pytest.mark.parametrize("name", TASKS)
 def test_columns_fit_together(name):
-    """Supply is the highest counted pressure plus margin; power is supply times flow; all on a 2 ms grid."""
+    """Supply is the highest demanded pressure plus margin; power is supply times flow; all on a 2 ms grid."""
     task, motion = TASKS[name], swinging(name)
     judged = evaluate(task, motion)
     pump = task.machine.pump

@@ -207,16 +207,16 @@ def test_settled_states_cost_one_line_over_their_controls(cost):
             row = bellman.empty_row(velocities, small.cylinder.shape[0], velocities)
             node, c = small.coefficients[k, p], small.position(k, p)
             bellman.best_controls(node, 0.0, c, w, k, small.stage, small.cylinder, small.setting, ahead, row)
-            base, slope = row.state[bellman.BASE].copy(), row.state[bellman.SLOPE].copy()
+            base, slope = row.state[bellman.OFFSET].copy(), row.state[bellman.SLOPE].copy()
             bellman.limit_controls(node, 0.0, w, k, small.stage, small.cylinder, small.setting, row)
             bellman.keep_to_nodes(w, ahead, small.setting[layout.STEP], row)
             bellman.charge(node, w, k, small.stage, small.cylinder, small.setting, row)
             for j in range(velocities):
                 u = np.linspace(row.state[bellman.LOW, j], row.state[bellman.HIGH, j], 401)
                 asked = np.array([bellman.running_cost(x, j, sensing, lowest, row.line) for x in u])
-                dear = row.state[bellman.BASE, j] + row.state[bellman.RATE, j] * asked
+                dear = row.state[bellman.OFFSET, j] + row.state[bellman.RATE, j] * asked
                 bend = np.abs(dear - np.linspace(dear[0], dear[-1], u.size)).max()
-                if row.state[bellman.MIXED, j]:
+                if row.state[bellman.PIECEWISE, j]:
                     mixed += bend > 1e-6 * np.abs(dear).max()
                 else:
                     settled += 1

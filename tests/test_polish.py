@@ -148,7 +148,7 @@ def trapezoids(polisher: modes.Polisher, made: motion.Motion, cost: str) -> floa
         )
         pressure = pump.ls_margin + np.max(
             [
-                hydraulics.counted_pressure(
+                hydraulics.pressure_demand(
                     v, f, problem.crane.machine.driven_velocity, d.gain_out, d.back_out, d.gain_in, d.back_in
                 )
                 for v, f, d in zip(moving.velocity, force, drives, strict=True)

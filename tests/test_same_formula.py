@@ -84,7 +84,7 @@ def the_formulas(state: State, cost: str) -> dict[str, Any]:
         total += terms.square[i] * v * v + (hydraulics.positive_work(v, f) if terms.work else 0.0)
         flow += hydraulics.cylinder_flow(v, terms.area_out[i], terms.area_in[i])
         line = d.gain_out, d.back_out, d.gain_in, d.back_in
-        pressures.append(float(hydraulics.counted_pressure(v, f, machine.driven_velocity, *line)))
+        pressures.append(float(hydraulics.pressure_demand(v, f, machine.driven_velocity, *line)))
     if terms.supply is not Supply.NONE:
         supply = pump.ls_margin + max(pressures) if terms.supply is Supply.LOAD_SENSING else pump.constant_pressure
         total += hydraulics.pump_power(supply, flow, *shaft_of(pump))
@@ -127,7 +127,7 @@ def kernel(state: State, cost: str) -> dict[str, Any]:
     node = stage_arrays.coefficients(problem, np.full((problem.stages + 1, 1), state.c))[k, 0]
     row, at = bellman.empty_row(1, node.shape[0], 2), (0.0, np.array([state.w]), k, stage, cylinder)
     bellman.limit_controls(node, *at, stage_arrays.setting(problem, cost, (0.0, 0.0, 1.0, 0.0)), row)
-    low, high, base = (float(row.state[name, 0]) for name in (bellman.LOW, bellman.HIGH, bellman.BASE))
+    low, high, base = (float(row.state[name, 0]) for name in (bellman.LOW, bellman.HIGH, bellman.OFFSET))
     setting, ahead = stage_arrays.setting(problem, cost, (0.0, 0.0, 0.0, 0.0)), np.zeros((3, 3))
     value, used = best_of_one(node, 0.0, state.c, state.w, k, stage, cylinder, setting, ahead)
     found = {"excess": base - problem.step * stage[k, layout.FIXED_COST]}
@@ -154,7 +154,7 @@ def fixed_mode(state: State, cost: str) -> dict[str, Any]:
     derivatives.move(program, k, 0, point, jet, moved)
     rate = derivatives.rate(program, k, 0, point, moved) / derivatives.MILLI
     return {
-        "rate": rate + stage_arrays.prescribed(problem, cost)[2][k], "velocity": node[2::2] + program.low[k, 1:],
+        "rate": rate + stage_arrays.path_determined(problem, cost)[2][k], "velocity": node[2::2] + program.low[k, 1:],
         "acceleration": 0.5 * (g[0 : 2 * n : 2] - g[1 : 2 * n : 2]), "force": moved[:, derivatives.F, derivatives.X],
         "hardest": 0.5 * (g[0 : 2 * n : 2] + g[1 : 2 * n : 2]),
     }  # fmt: skip

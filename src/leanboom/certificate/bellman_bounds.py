@@ -9,7 +9,7 @@ A transition leads from a cell to a velocity row and a position column of the ne
     t in [-1, 1]: position within the cell,   x: velocity from the cell's middle,   y: next velocity on the lattice,
 
 everything is affine in (t, x, y) up to a bounded error, so the least value is attained at corners. What is not
-affine enters by multipliers: sigma (pump flow of a cylinder that may move either way), lambda (which counted pressure
+affine enters by multipliers: sigma (pump flow of a cylinder that may move either way), lambda (which demanded pressure
 is the highest), mu (acceleration limits).
 
 Kernels know no machine and no task; arrays in, caller-owned arrays out, no interpreter lock. Rows of positions are
@@ -173,7 +173,7 @@ def scratch(moving):
 
 @njit(cache=True, **INNER)
 def snap(setting):
-    """By which share of a cell's height edges may be off the lattice: only where power jumps."""
+    """Largest shift of an edge off the lattice, as a share of a cell's height: not zero only where power jumps."""
     return SNAP if setting[SENSING] != 0.0 else 0.0
 
 

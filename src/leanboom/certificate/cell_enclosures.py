@@ -93,7 +93,7 @@ class Stage(NamedTuple):
     rows_ahead: np.ndarray
     edges_ahead: np.ndarray
     columns_ahead: np.ndarray
-    fixed: np.ndarray  # pump flow [m^3/s] and counted pressure [Pa] of the prescribed cylinders, (2,)
+    fixed: np.ndarray  # pump flow [m^3/s] and demanded pressure [Pa] of the path-determined cylinders, (2,)
     cylinder: np.ndarray  # (moving, layout.CYLINDER_COLUMNS)
     setting: np.ndarray  # (layout.SETTINGS,)
 

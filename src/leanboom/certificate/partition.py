@@ -35,7 +35,7 @@ class Cells:
     rows: tuple[np.ndarray, ...]  # edges of the rows of cells [m], (rows + 1,) a stage and the end
     edges: tuple[np.ndarray, ...]  # of the cells in velocity [m/s], (rows, columns + 1) a stage and the end
     columns: tuple[np.ndarray, ...]  # admissible velocities of each row [m/s], (rows, 2) a stage and the end
-    fixed: np.ndarray  # pump flow [m^3/s] and pressure [Pa] of prescribed cylinders, (stages + 1, 2)
+    fixed: np.ndarray  # pump flow [m^3/s] and pressure [Pa] of path-determined cylinders, (stages + 1, 2)
     cylinder: np.ndarray  # (moving, layout.CYLINDER_COLUMNS)
     setting: np.ndarray  # (layout.SETTINGS,)
     viable: Viable  # velocities from which motions can go on within the limits
@@ -151,8 +151,8 @@ def made_of(
 
 
 def _fixed(problem: Problem, cost: str) -> np.ndarray:
-    """Pump flow [m^3/s] and pressure [Pa] of the prescribed cylinders, (stages + 1, 2)."""
-    flow, pressure, _ = stage_arrays.prescribed(problem, cost)
+    """Pump flow [m^3/s] and pressure [Pa] of the path-determined cylinders, (stages + 1, 2)."""
+    flow, pressure, _ = stage_arrays.path_determined(problem, cost)
     return np.stack([flow, pressure], axis=1)
 
 

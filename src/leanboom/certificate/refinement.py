@@ -1,4 +1,4 @@
-"""Levels of a proof: bounds over ever smaller cells, until the gap asked for is proven or the time is over.
+"""Refinement of the lower bound: levels of smaller cells until the required gap is proven or the time is over.
 
 The first level is so coarse that it always ends. Which of the finer ones is next depends on how long its cells took;
 which slopes its planes get, on what each kind of slopes left open on the level before.
@@ -53,7 +53,7 @@ class Level:
 
 @dataclass(frozen=True, slots=True)
 class Outlook:
-    """What more time would bring: an extrapolation from the levels so far, nothing proven."""
+    """Extrapolated gap after more computing time, from the levels so far; not proven."""
 
     seconds: float  # to ask for, so that one more level can be expected to end [s]
     gap_percent: float | None  # gap to expect then; None where the levels do not say
@@ -93,7 +93,7 @@ class Goal:
 
 @dataclass(slots=True, eq=False)
 class Course:
-    """How far a proof has come, and what is under way."""
+    """Progress of a proof: finished levels and the level being computed."""
 
     goal: Goal
     budget: Budget

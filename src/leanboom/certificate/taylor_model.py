@@ -1,4 +1,4 @@
-"""Taylor models of one variable: numbers that know rigorously how they vary over a cell.
+"""Taylor models of one variable: second-order expansions over a cell with rigorous error bounds.
 
 An `Enclosure` stands for a function of position over a cell, c = middle + half width t with -1 <= t <= 1:
 

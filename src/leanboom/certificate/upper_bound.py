@@ -53,7 +53,7 @@ def measure(problem: Problem, candidate: Motion, pump: str) -> Measured:
     pose = cranes.pose(crane, problem.plane[:-1], candidate.position[:-1])
     moving = cranes.move(pose, candidate.velocity[:-1], candidate.acceleration)
     force = cranes.forces(pose, moving)
-    others = [part[:-1] for part in stage_arrays.prescribed(problem, pump)]
+    others = [part[:-1] for part in stage_arrays.path_determined(problem, pump)]
     power = cost_rates.rate(crane, pump, moving.velocity[problem.moving], force[problem.moving], others)
     used = max(np.max(problem.lower - candidate.position), np.max(candidate.position - problem.upper)) / PATH_TOLERANCE
     used = max(used, abs(candidate.velocity[-1]) / PATH_TOLERANCE)

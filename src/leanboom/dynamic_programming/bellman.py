@@ -76,20 +76,20 @@ enable_in_kernels()
 # [J/Pa] or power [s], cost per control [J s^2/m], 1 where the cost is not one line over the control, else 0, least and
 # largest admissible control [m/s^2]; the rest is scratch: cost of a control, flow, shares within a cell along positions
 # and velocities, cost of being outside the nodes.
-VALUE, CONTROL, BASE, RATE, SLOPE, MIXED, LOW, HIGH, PRICE, FLOW, ALONG, ACROSS, BEYOND = range(13)
+VALUE, CONTROL, OFFSET, RATE, SLOPE, PIECEWISE, LOW, HIGH, COST_TO_GO, FLOW, FRAC_C, FRAC_W, OUT_OF_GRID = range(13)
 STATE_ROWS = 13
 # Rows of `Row.line`: load along the motion at u = 0 (positive: driven against it) [N], or its power [W], and its change
 # with u; the pressure it asks for at u = 0 [Pa], and its change with u.
 LOAD, GAIN, P0, P1 = range(4)
 LINE_ROWS = 4
 
-MIN_GAIN = 1e-9  # a cylinder whose acceleration depends less than this on the control is prescribed
+MIN_GAIN = 1e-9  # a cylinder whose acceleration depends less than this on the control is determined by the path
 SWITCH_SHIFT = 1e-7  # switches are tried this far on the unloaded side [m/s^2]
 ROUNDING = 1e-9  # nodes this far beyond the ends of a row's controls are still looked at
 
 
 class Layer(NamedTuple):
-    """The value of one stage on its nodes, and what a state outside them costs."""
+    """Value function of one stage on its nodes, and the penalty slopes outside them."""
 
     value: np.ndarray  # [J], (positions, velocities)
     c_lo: float  # first position [m]
@@ -103,14 +103,14 @@ class Layer(NamedTuple):
 
 
 class Row(NamedTuple):
-    """What is known of the states of a row: few arrays with named rows, because kernels hand them around a lot.
+    """Values, limits and scratch of the states of a row, in few arrays with named rows: kernels pass them often.
 
     The part of a stage's cost that depends on the control is a rate times a load-sensing supply pressure, the highest
     of p0_i + p1_i u over cylinders with load_i + gain_i u > 0, or times positive work, the sum of positive
-    load_i + gain_i u. Where that is one line over the admissible controls it is part of `BASE` and `SLOPE`.
+    load_i + gain_i u. Where that is one line over the admissible controls it is part of `OFFSET` and `SLOPE`.
     """
 
-    state: np.ndarray  # (STATE_ROWS, states + velocities ahead); ALONG and BEYOND alone use all columns
+    state: np.ndarray  # (STATE_ROWS, states + velocities ahead); FRAC_C and OUT_OF_GRID alone use all columns
     line: np.ndarray  # (moving cylinders, LINE_ROWS, states)
     cell: np.ndarray  # scratch: cell or row of cells reached, (states + velocities ahead,)
 
@@ -170,17 +170,17 @@ def interpolate(ahead, c, w):
 @njit(cache=True, error_model="numpy")
 def limit_controls(node, outside, w, k, stage, cylinder, setting, row):
     """Acceleration bounds at each velocity node of a row, and the limit penalties that do not depend on it."""
-    base, low, high = row.state[BASE], row.state[LOW], row.state[HIGH]
+    offset, low, high = row.state[OFFSET], row.state[LOW], row.state[HIGH]
     slope_v, slope_a = setting[SLOPE_V], setting[SLOPE_A]
     everywhere = setting[SLOPE_C] * outside + setting[STEP] * stage[k, FIXED_COST]
     for j in range(w.size):
-        base[j], low[j], high[j] = everywhere, -np.inf, np.inf
+        offset[j], low[j], high[j] = everywhere, -np.inf, np.inf
     for i in range(node.shape[0]):
         a0, a1 = node[i, A0], node[i, A1]
         b0, b1, b2, b3 = node[i, B0], node[i, B1], node[i, B2], node[i, B3]
         fastest, hardest = cylinder[i, V_MAX], cylinder[i, A_MAX]
         for j in range(w.size):
-            base[j] += slope_v * max(abs(a0 + a1 * w[j]) - fastest, 0.0)
+            offset[j] += slope_v * max(abs(a0 + a1 * w[j]) - fastest, 0.0)
         if abs(b3) > MIN_GAIN:  # |b0 + b1 w + b2 w^2 + b3 u| <= A_MAX
             inverse = 1.0 / b3
             half = hardest * abs(inverse)
@@ -189,9 +189,9 @@ def limit_controls(node, outside, w, k, stage, cylinder, setting, row):
                 low[j], high[j] = max(low[j], middle - half), min(high[j], middle + half)
         else:
             for j in range(w.size):
-                base[j] += slope_a * max(abs(b0 + w[j] * (b1 + w[j] * b2)) - hardest, 0.0)
+                offset[j] += slope_a * max(abs(b0 + w[j] * (b1 + w[j] * b2)) - hardest, 0.0)
     for j in range(w.size):
-        base[j] += slope_a * max(low[j] - high[j], 0.0)
+        offset[j] += slope_a * max(low[j] - high[j], 0.0)
         middle = 0.5 * (low[j] + high[j])
         empty = low[j] > high[j]
         low[j], high[j] = middle if empty else low[j], middle if empty else high[j]
@@ -212,10 +212,10 @@ def keep_to_nodes(w, ahead, step, row):
 @njit(cache=True, error_model="numpy")
 def charge(node, w, k, stage, cylinder, setting, row):
     """Stage cost of a row's states without the terms that depend on the acceleration, and the factor of those."""
-    base, rate, flow = row.state[BASE], row.state[RATE], row.state[FLOW]
-    step, prescribed = setting[STEP], stage[k, FIXED_FLOW]
+    offset, rate, flow = row.state[OFFSET], row.state[RATE], row.state[FLOW]
+    step, fixed = setting[STEP], stage[k, FIXED_FLOW]
     for j in range(w.size):
-        flow[j], rate[j] = prescribed, step
+        flow[j], rate[j] = fixed, step
     for i in range(node.shape[0]):
         a0, a1 = node[i, A0], node[i, A1]
         area_out, area_in, square = cylinder[i, AREA_OUT], cylinder[i, AREA_IN], cylinder[i, SQUARE]
@@ -224,11 +224,11 @@ def charge(node, w, k, stage, cylinder, setting, row):
         if square != 0.0:
             for j in range(w.size):
                 v = a0 + a1 * w[j]
-                base[j] += step * square * v * v
+                offset[j] += step * square * v * v
     supply, efficiency = setting[SUPPLY], setting[EFFICIENCY]
     idle, leak, drag = setting[IDLE], setting[LEAK], setting[DRAG]
     for j in range(w.size):
-        base[j] += step * pump_power(supply, flow[j], efficiency, idle, leak, drag)
+        offset[j] += step * pump_power(supply, flow[j], efficiency, idle, leak, drag)
     if setting[SENSING] != 0.0:
         for j in range(w.size):  # pump power is affine in the pressure
             rate[j] = step * pump_power(1.0, flow[j], efficiency, 0.0, leak, 0.0)
@@ -277,13 +277,13 @@ def running_cost(u, j, sensing, lowest, line):
 
 @njit(cache=True, error_model="numpy")
 def settle_lines(states, sensing, lowest, row):
-    """Where the stage cost is affine in the acceleration over its whole range, fold it into `BASE` and `SLOPE`.
+    """Where the stage cost is affine in the acceleration over its whole range, fold it into `OFFSET` and `SLOPE`.
 
     A cylinder is loaded between two accelerations if it is at both ends, and so is the one that demands most. States
-    of which this does not hold are `MIXED`: piecewise affine.
+    of which this does not hold are `PIECEWISE`: piecewise affine.
     """
-    line, low, high, base, rate = row.line, row.state[LOW], row.state[HIGH], row.state[BASE], row.state[RATE]
-    slope, mixed = row.state[SLOPE], row.state[MIXED]
+    line, low, high, slope = row.line, row.state[LOW], row.state[HIGH], row.state[SLOPE]
+    offset, rate, piecewise = row.state[OFFSET], row.state[RATE], row.state[PIECEWISE]
     for j in range(states):
         least, most = low[j], high[j]
         changes = False
@@ -302,25 +302,25 @@ def settle_lines(states, sensing, lowest, row):
                 work, dwork = work + load, dwork + gain
         if sensing:
             changes = changes or p != q or dp != dq
-        mixed[j] = 1.0 if changes else 0.0
+        piecewise[j] = 1.0 if changes else 0.0
         if not changes:
-            base[j] += rate[j] * (p if sensing else work)
+            offset[j] += rate[j] * (p if sensing else work)
             slope[j] = rate[j] * (dp if sensing else dwork)
 
 
 @njit(cache=True, error_model="numpy")
 def try_end(end, c, w, step, ahead, row):
     """Try one end of the admissible controls: row `end`, LOW or HIGH."""
-    price, value, control, slope = row.state[PRICE], row.state[VALUE], row.state[CONTROL], row.state[SLOPE]
-    along, across, beyond, cell = row.state[ALONG], row.state[ACROSS], row.state[BEYOND], row.cell
+    cost_to_go, value, control, slope = row.state[COST_TO_GO], row.state[VALUE], row.state[CONTROL], row.state[SLOPE]
+    frac_c, frac_w, out_of_grid, cell = row.state[FRAC_C], row.state[FRAC_W], row.state[OUT_OF_GRID], row.cell
     half, nodes, velocities = 0.5 * step * step, ahead.value.reshape(-1), ahead.value.shape[1]
     u = row.state[end]
     for j in range(w.size):
-        cell[j], along[j], across[j], beyond[j] = locate(ahead, c + step * w[j] + half * u[j], w[j] + step * u[j])
+        cell[j], frac_c[j], frac_w[j], out_of_grid[j] = locate(ahead, c + step * w[j] + half * u[j], w[j] + step * u[j])
     for j in range(w.size):
-        price[j] = blend(nodes, velocities, cell[j], along[j], across[j]) + beyond[j]
+        cost_to_go[j] = blend(nodes, velocities, cell[j], frac_c[j], frac_w[j]) + out_of_grid[j]
     for j in range(w.size):
-        cost = price[j] + slope[j] * u[j]
+        cost = cost_to_go[j] + slope[j] * u[j]
         better = cost < value[j]
         value[j] = cost if better else value[j]
         control[j] = u[j] if better else control[j]
@@ -333,8 +333,9 @@ def try_nodes(c, w, step, ahead, row):
     From velocity j to node j + d the control is the same for all j, and the position reached depends on the
     sum of the two numbers alone.
     """
-    price, value, control, slope = row.state[PRICE], row.state[VALUE], row.state[CONTROL], row.state[SLOPE]
-    low, high, along, beyond, cell = row.state[LOW], row.state[HIGH], row.state[ALONG], row.state[BEYOND], row.cell
+    cost_to_go, value, control, slope = row.state[COST_TO_GO], row.state[VALUE], row.state[CONTROL], row.state[SLOPE]
+    low, high, frac_c = row.state[LOW], row.state[HIGH], row.state[FRAC_C]
+    out_of_grid, cell = row.state[OUT_OF_GRID], row.cell
     nodes, (positions, velocities) = ahead.value, ahead.value.shape
     half = 0.5 * step * ahead.dw
     middle = c + 0.5 * step * (w[0] + ahead.w_lo)
@@ -342,7 +343,7 @@ def try_nodes(c, w, step, ahead, row):
         x = (middle + half * total - ahead.c_lo) * ahead.per_dc
         inside = within(x, positions - 1.0)
         i = np.uint32(min(inside, positions - 2.0))
-        cell[total], along[total], beyond[total] = i, inside - i, ahead.slope_c * abs(x - inside)
+        cell[total], frac_c[total], out_of_grid[total] = i, inside - i, ahead.slope_c * abs(x - inside)
     lowest_u, highest_u = np.inf, -np.inf
     for j in range(w.size):
         lowest_u, highest_u = min(lowest_u, low[j]), max(highest_u, high[j])
@@ -353,11 +354,11 @@ def try_nodes(c, w, step, ahead, row):
         for j in range(first, last):
             node = np.uint64(np.int64(j) + d)
             total = j + node
-            i, x = cell[total], along[total]
+            i, x = cell[total], frac_c[total]
             near, far = nodes[i, node], nodes[i + np.uint64(1), node]
-            price[j] = near + x * (far - near) + beyond[total]
+            cost_to_go[j] = near + x * (far - near) + out_of_grid[total]
         for j in range(first, last):
-            cost = price[j] + slope[j] * u
+            cost = cost_to_go[j] + slope[j] * u
             better = (cost < value[j]) & (low[j] <= u) & (u <= high[j])
             value[j] = cost if better else value[j]
             control[j] = u if better else control[j]
@@ -371,18 +372,18 @@ def reachable(low, high, w, step, ahead):
 
 
 @njit(cache=True, error_model="numpy")
-def try_mixed(c, w, step, ahead, sensing, lowest, row):
-    """Try all corners of the states that are `MIXED`.
+def try_piecewise(c, w, step, ahead, sensing, lowest, row):
+    """Try all corners of the states that are `PIECEWISE`.
 
     Besides the ends and the nodes these are the unloaded side of every switch of a load's sign and, with a load-sensing
     supply, the crossings of two pressures.
     """
     value, control, low, high = row.state[VALUE], row.state[CONTROL], row.state[LOW], row.state[HIGH]
-    line, mixed, rate = row.line, row.state[MIXED], row.state[RATE]
+    line, piecewise, rate = row.line, row.state[PIECEWISE], row.state[RATE]
     half, corners = 0.5 * step * step, row.line.shape[0] + 2  # corners of a cylinder
     nodes, velocities = ahead.value.reshape(-1), ahead.value.shape[1]
     for j in range(w.size):
-        if mixed[j] == 0.0:
+        if piecewise[j] == 0.0:
             continue
         best, chosen = np.inf, low[j]
         nearest, farthest = reachable(low[j], high[j], w[j], step, ahead)
@@ -404,11 +405,11 @@ def try_mixed(c, w, step, ahead, sensing, lowest, row):
                     u = -load / gain - (SWITCH_SHIFT if gain > 0.0 else -SWITCH_SHIFT)
             if low[j] <= u <= high[j]:
                 cell, x, y, extra = locate(ahead, c + step * w[j] + half * u, w[j] + step * u)
-                price = blend(nodes, velocities, cell, x, y) + extra
-                if price < best:
-                    price += rate[j] * running_cost(u, j, sensing, lowest, line)
-                    if price < best:
-                        best, chosen = price, u
+                cost_to_go = blend(nodes, velocities, cell, x, y) + extra
+                if cost_to_go < best:
+                    cost_to_go += rate[j] * running_cost(u, j, sensing, lowest, line)
+                    if cost_to_go < best:
+                        best, chosen = cost_to_go, u
         value[j], control[j] = best, chosen
 
 
@@ -445,6 +446,6 @@ def best_controls(node, outside, c, w, k, stage, cylinder, setting, ahead, row):
     try_end(HIGH, c, w, step, ahead, row)
     try_nodes(c, w, step, ahead, row)
     if priced:
-        try_mixed(c, w, step, ahead, sensing, lowest, row)
+        try_piecewise(c, w, step, ahead, sensing, lowest, row)
     for j in range(w.size):
-        value[j] += row.state[BASE, j]
+        value[j] += row.state[OFFSET, j]

@@ -22,7 +22,7 @@ def sweep_stage(k, first, last, coefficients, outside, stage, cylinder, setting,
         first, last: Range of positions; ranges are independent, so threads may share a stage.
         coefficients: Node tables, (stages + 1, positions, moving cylinders, COEFFICIENTS).
         outside: Distance of each node from the feasible extensions [m], (stages + 1, positions).
-        stage: Grid and prescribed cylinders of each stage, (stages + 1, STAGE_COLUMNS).
+        stage: Grid and path-determined cylinders of each stage, (stages + 1, STAGE_COLUMNS).
         cylinder: Moving cylinders, (moving cylinders, CYLINDER_COLUMNS).
         setting: Scalars, (SETTINGS,).
         ahead: Value of the next stage [J], (positions, velocities).

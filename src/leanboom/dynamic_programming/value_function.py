@@ -59,7 +59,7 @@ Terminal = Callable[[np.ndarray, np.ndarray], np.ndarray]  # cost [J] of positio
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Policy:
-    """Values of every state at every stage: the optimal motion from anywhere, by one-step look-ahead."""
+    """Value function of every stage: the optimal motion from any state follows by one-step look-ahead."""
 
     problem: Problem
     cost: str

@@ -47,7 +47,7 @@ class Evaluation:
     velocity: np.ndarray  # cylinder velocities [m/s], (samples, joints)
     acceleration: np.ndarray  # [m/s^2], (samples, joints)
     force: np.ndarray  # [N], (samples, joints)
-    pressure: np.ndarray  # counted pressures, eq. (41) [Pa], (samples, joints)
+    pressure: np.ndarray  # demanded pressures, eq. (41) [Pa], (samples, joints)
     flow: np.ndarray  # pump flow of each cylinder [m^3/s], (samples, joints)
     pump_flow: np.ndarray  # [m^3/s], (samples,)
     supply_ls: np.ndarray  # [Pa], (samples,)
@@ -261,7 +261,7 @@ def judged_cost(evaluation: Evaluation, cost: str) -> float:
 
 
 def hydraulic_state(crane: cranes.Crane, velocity: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Counted pressures [Pa] and pump flows [m^3/s] of all cylinders, each (samples, joints)."""
+    """Demanded pressures [Pa] and pump flows [m^3/s] of all cylinders, each (samples, joints)."""
     pressure = np.empty_like(velocity)
     flow = np.empty_like(velocity)
     for i, d in enumerate(crane.drives):

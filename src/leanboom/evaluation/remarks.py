@@ -41,7 +41,7 @@ def shortfalls(
         time: [s], (samples,).
         flow: Pump flow [m^3/s], (samples,).
         supply_ls: Load-sensing supply [Pa], (samples,).
-        pressure: Counted pressures [Pa], (samples, joints).
+        pressure: Demanded pressures [Pa], (samples, joints).
     """
     found = [_above(time, 6e4 * flow, 6e4 * pump.max_flow, "pump flow", "l/min", 1)]
     if kind == "ls":

@@ -1,4 +1,4 @@
-"""What is left of a task from a state on the way: the motion of the rest, or the safest stop.
+"""Continuation of a task from a state under way: a motion of the rest, or the safest stop.
 
 A stop keeps the tool on its path, where the way is known to be free: path speed and redundant cylinder slow down
 evenly, so every cylinder slows down with them, and the shortest such stop that keeps every limit is taken. The

@@ -1,4 +1,4 @@
-"""Compiled kernels of the polish's program: its variables, cost and limits, with the derivatives Newton's method needs.
+"""Compiled kernels of the fixed-mode program: variables, cost and limits, with their first and second derivatives.
 
 A program is an optimal-control problem of two states and one control: position and velocity of the redundant
 cylinder at every node (stage), its acceleration over every interval. Each end of an interval has variables of its own:
@@ -51,7 +51,7 @@ class Limits(NamedTuple):
 
 
 class Point(NamedTuple):
-    """The variables."""
+    """Primal variables: states, controls, supply pressures and flows."""
 
     state: np.ndarray  # position, velocity; (stages + 1, 2)
     control: np.ndarray  # (stages,)
@@ -84,7 +84,7 @@ def empty_point(stages, cylinders):
 
 
 class Program(NamedTuple):
-    """A polishing problem for given modes; units are m, s, MPa, l/s, kW."""
+    """A fixed-mode program; units are m, s, MPa, l/s, kW."""
 
     step: float
     sensing: bool  # whether the highest demanded pressure adds to the supply
@@ -267,7 +267,7 @@ def change_limits(program, point, jet, step, moved, change):
 
 @njit(cache=True, error_model="numpy")
 def add_product(matrix, vector, share, one, other):
-    """Add share x one x other, but for its parts' own curvature."""
+    """Add the derivatives of share x one x other, without the second derivatives of the two factors."""
     for x, d in ((C, DC), (W, DW), (U, DU)):
         vector[x] += share * (one[X] * other[d] + other[X] * one[d])
         for y, b in ((C, DC), (W, DW), (U, DU)):
@@ -310,7 +310,7 @@ def add_cost(program, k, e, point, moved, matrix, vector, bends):
 
 @njit(cache=True, error_model="numpy")
 def pull_of(value, slack, multiplier, barrier):
-    """What a limit's gradient is multiplied with in the condensed gradient, but for its sign."""
+    """Factor of a limit's gradient in the condensed gradient, with opposite sign."""
     return (barrier - multiplier * (value - slack)) / slack
 
 

@@ -1,4 +1,4 @@
-"""Compiled interior-point method for the polish's program: as general ones work, but with the program's shape.
+"""Compiled primal-dual interior-point method for the fixed-mode program, with a Riccati recursion for Newton's step.
 
 Everything a general solver does for such a problem has a short form here: what belongs to an end of an interval
 alone is eliminated there, a backward recursion (Riccati) eliminates control after control, and the curvature
@@ -50,7 +50,7 @@ REACH = 1e8  # multipliers stay within this factor of barrier / slack
 
 
 class Eliminated(NamedTuple):
-    """What is left of the ends' own variables and of the controls once they are eliminated: affine in what remains."""
+    """Newton's step of the eliminated variables (local ones, controls) as affine functions of those that remain."""
 
     rows: np.ndarray  # pivot rows of the locals, (stages, 2, 1 + cylinders, 4 + cylinders)
     pulls: np.ndarray  # their right sides over pivots
@@ -101,7 +101,7 @@ def eliminate_locals(matrix, vector, rows, pulls):
 
 @njit(cache=True, error_model="numpy")
 def eliminate(program, place, value, multiplier, barrier, shift, work):
-    """Backward pass: eliminate all but the start.
+    """Riccati recursion backward in time: eliminate all variables but the start position.
 
     Returns:
         Whether the step leads towards a minimum, and its change of the start's position.

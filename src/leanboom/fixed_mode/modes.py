@@ -1,6 +1,6 @@
 """Fixed-mode nonlinear program: each cylinder's direction and load sign are held fixed, so maxima become constraints.
 
-The dynamic program decides globally which cylinders extend, retract or are held at every stage, and which support
+The dynamic program decides globally which cylinders extend, retract or rest at every stage, and which support
 their load. With these modes fixed, a cylinder's flow is a variable s >= A v, s >= -B v, and so is the supply, p >=
 every supporting cylinder's demanded pressure; the cost is p x sum(s). No smoothing is left; `interior_point` solves it.
 Modes enter as parameters and bounds only: the problem is built once and solved again
@@ -32,7 +32,7 @@ from leanboom.model import motion
 from leanboom.model.cost_rates import supply_of, terms_of
 from leanboom.model.motion import Motion
 from leanboom.problem import cost_scale, feasible_strokes, layout, stage_arrays
-from leanboom.problem.stage_arrays import prescribed, threshold
+from leanboom.problem.stage_arrays import path_determined, threshold
 from leanboom.problem.stages import Problem
 
 LITRE, MEGA = 1e3, 1e-6  # flow in l/s, pressure in MPa: their product is kW
@@ -45,7 +45,7 @@ BARRIER, LAST_BARRIER, ITERATIONS = 1e-6, 2e-9, 300
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Polisher:
-    """The problem of one task, cost and discretisation but for the modes; `solve` solves it for given ones."""
+    """The parts of a fixed-mode program that do not depend on the modes, for one task, cost and discretisation."""
 
     problem: Problem
     cost: str
@@ -74,7 +74,7 @@ class Polisher:
 
 
 def build(problem: Problem, cost: str) -> Polisher:
-    """Tabulate the polishing problem for a cost of `costs.COSTS`."""
+    """Tabulate the fixed-mode program for a cost of `costs.COSTS`."""
     shares = derivatives.graded(POSITIONS)
     positions = problem.lower[:, None] + (_last(problem) - problem.lower)[:, None] * shares
     strokes = np.linspace(*feasible_strokes.stroke_range(problem.task), FRICTION_STEPS + 1)
@@ -92,7 +92,7 @@ def _last(problem: Problem) -> np.ndarray:
 class Modes:
     """The switches: direction of every moving cylinder at every node, and whether it carries load."""
 
-    sign: np.ndarray  # -1 retracts, 0 held, 1 extends, (stages + 1, moving)
+    sign: np.ndarray  # -1 retracts, 0 at rest, 1 extends, (stages + 1, moving)
     loaded: np.ndarray  # at the beginning and end of every interval, (2, stages, moving)
 
     def same_as(self, other: Modes) -> bool:
@@ -140,7 +140,7 @@ def _force(problem: Problem, seed: Motion, end: int, sign: np.ndarray) -> np.nda
 def solve(
     polisher: Polisher, seed: Motion, switches: Modes, free_start: bool = False, share: tuple[float, float] = (1.0, 1.0)
 ) -> tuple[Motion | None, str]:
-    """Solve the smooth problem for given modes from a seed.
+    """Solution of the fixed-mode program from a seed: the polished motion.
 
     Args:
         polisher: The built problem.
@@ -198,7 +198,7 @@ def _program(
     counts.end[:, :, 2 * n : 3 * n] = np.moveaxis(asked, 0, 1) & polisher.loads
     counts.end[:, :, 3 * n] = polisher.pressures
     counts.end[:, :, 3 * n + 1 :] = polisher.flows
-    flow, pressure, _ = prescribed(problem, polisher.cost)
+    flow, pressure, _ = path_determined(problem, polisher.cost)
     terms = polisher.terms
     constants = [
         LITRE * np.array(terms.area_out)[problem.moving], LITRE * np.array(terms.area_in)[problem.moving],
@@ -221,7 +221,7 @@ def _guess(polisher: Polisher, seed: Motion, switches: Modes, mode: np.ndarray) 
     point = derivatives.empty_point(problem.stages, len(areas))
     point.state[:, 0], point.state[:, 1], point.control[:] = seed.position, seed.velocity, seed.acceleration
     v = _speeds(problem, seed)
-    _, pressure, _ = prescribed(problem, polisher.cost)
+    _, pressure, _ = path_determined(problem, polisher.cost)
     for end in range(2):
         if polisher.flows:
             for i, (out, back) in enumerate(areas):

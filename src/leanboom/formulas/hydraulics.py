@@ -26,7 +26,7 @@ def cylinder_flow(v, area_out, area_in):
 
 
 @formula
-def counted_pressure(v, F, epsilon, gain_out, back_out, gain_in, back_in):
+def pressure_demand(v, F, epsilon, gain_out, back_out, gain_in, back_in):
     """Pressure a cylinder asks of a load-sensing pump [Pa]: zero unless driven against its load. Eq. (41)."""
     out = (gain_out * F + back_out) * heaviside(v - epsilon)
     back = (back_in - gain_in * F) * heaviside(-v - epsilon)

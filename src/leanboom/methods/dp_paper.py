@@ -46,7 +46,7 @@ BLOCK = 2**18  # nodes of states and controls evaluated at once; about 100 MB
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Model:
-    """What a backward stage needs: the task in time, what is minimised, and the normalised grids."""
+    """Inputs of a backward stage: the task in time, the cost, and the normalised grids."""
 
     problem: Problem
     cost: str  # a name of `costs.COSTS`

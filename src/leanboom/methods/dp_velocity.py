@@ -40,7 +40,7 @@ SLACK = 1e-9  # limits used by this much more than 1 still count as kept
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Model:
-    """What a backward stage needs: the task in time, what is minimised, and the grids."""
+    """Inputs of a backward stage: the task in time, the cost, and the grids."""
 
     problem: Problem
     cost: str  # a name of `costs.COSTS`

@@ -12,7 +12,7 @@ The path is kept in velocity form, x' = r', with the position error fed back so 
 The position form, eq. (14), leaves velocities undamped between the stages where accelerations are constant on them.
 The tool is measured in the coordinates of the slewing crane: radius, height and base angle.
 
-Costs are smoothed as in `pseudospectral`, limits between the stages drawn in likewise. The start is the actuator
+Costs are smoothed as in `pseudospectral`, limits between the stages tightened likewise. The start is the actuator
 pseudo-inverse.
 
 | symbol | name | unit |
@@ -35,7 +35,7 @@ from leanboom.errors import LeanboomError
 from leanboom.evaluation.evaluate import evaluate
 from leanboom.formulas import kinematics
 from leanboom.methods import pseudo_inverse, smoothed_nlp
-from leanboom.methods.smoothed_nlp import Attempt, Drawn, Level
+from leanboom.methods.smoothed_nlp import Attempt, Level, Tightening
 from leanboom.model import crane as cranes
 from leanboom.model import motion
 from leanboom.model.motion import Motion
@@ -74,11 +74,11 @@ def plan(task: Task, cost: str, start: float, tell: Progress = quiet, settings: 
     work = _prepare(stages.discretise(task, STEP), cost)
     first = _first_guess(work.problem, start)
 
-    def solve(level: Level, guess: Attempt | None, drawn: Drawn) -> Attempt:
-        answer = _solve(work, level, first if guess is None else guess.answer.values, drawn)
+    def solve(level: Level, guess: Attempt | None, tightening: Tightening) -> Attempt:
+        answer = _solve(work, level, first if guess is None else guess.answer.values, tightening)
         return Attempt(evaluate(task, _motion(work.problem, answer.values, cost)), answer, work.problem.time)
 
-    result = smoothed_nlp.bootstrap(LEVELS[cost], solve, _draw_in, cost, tell)
+    result = smoothed_nlp.bootstrap(LEVELS[cost], solve, _tightening, cost, tell)
     return replace(result, solve_s=time.perf_counter() - began)
 
 
@@ -190,8 +190,8 @@ def _motion(problem: stages.Problem, values: np.ndarray, cost: str) -> Motion:
     return motion.from_velocities(problem.step, ratio * float(values[0, joints - 1]), velocity, METHOD, cost)
 
 
-def _solve(work: _Work, level: Level, guess: np.ndarray, drawn: Drawn) -> smoothed_nlp.Answer:
-    """Solve from a guess, (stages + 1, 3 joints), limits drawn in by the results of `_draw_in`."""
+def _solve(work: _Work, level: Level, guess: np.ndarray, tightening: Tightening) -> smoothed_nlp.Answer:
+    """Solve from a guess, (stages + 1, 3 joints), limits tightened by the results of `_tightening`."""
     problem = work.problem
     machine, count = problem.crane.machine, problem.stages + 1
     joints = len(machine.joints)
@@ -202,9 +202,9 @@ def _solve(work: _Work, level: Level, guess: np.ndarray, drawn: Drawn) -> smooth
     upper = np.tile([joint.upper for joint in machine.joints], (count, 1))
     velocity = np.tile([c.velocity_limit for c in machine.cylinders], (count, 1))
     acceleration = np.tile([c.acceleration_limit for c in machine.cylinders], (count, 1))
-    if drawn is not None:
-        lower, upper = lower + drawn[0], upper - drawn[1]
-        velocity, acceleration = velocity - drawn[2], acceleration - drawn[3]
+    if tightening is not None:
+        lower, upper = lower + tightening[0], upper - tightening[1]
+        velocity, acceleration = velocity - tightening[2], acceleration - tightening[3]
     free = np.full((count, 2 * joints), np.inf)  # joint velocities and accelerations: their cylinders have the limits
     low, high = np.hstack([lower, -free]), np.hstack([upper, free])
     low[0, :joints] = high[0, :joints] = guess[0, :joints]
@@ -216,8 +216,8 @@ def _solve(work: _Work, level: Level, guess: np.ndarray, drawn: Drawn) -> smooth
     return smoothed_nlp.optimise(work.program, guess, parameters, (low, high), (-rows, rows))
 
 
-def _draw_in(attempt: Attempt) -> Drawn:
-    """By how much to draw in the limits at the stages; None: nothing to do.
+def _tightening(attempt: Attempt) -> Tightening:
+    """Constraint tightening at the stages; None where no limit is exceeded.
 
     Returns:
         Lower and upper joint positions, cylinder velocities, cylinder accelerations, each (stages + 1, joints).
@@ -225,9 +225,11 @@ def _draw_in(attempt: Attempt) -> Drawn:
     judged = attempt.judged
     joints = judged.task.machine.joints
     lower, upper = (np.array([getattr(joint, end) for joint in joints]) for end in ("lower", "upper"))
-    least = 0.5 * (smoothed_nlp.KEPT - 1.0) * (upper - lower)
+    least = 0.5 * (smoothed_nlp.USABLE_SHARE - 1.0) * (upper - lower)
     positions = [
-        smoothed_nlp.around(np.where(outside > least, smoothed_nlp.DRAWN * outside, 0.0), judged.time, attempt.nodes)
+        smoothed_nlp.around(
+            np.where(outside > least, smoothed_nlp.TIGHTENING * outside, 0.0), judged.time, attempt.nodes
+        )
         for outside in (lower - judged.joint_position, judged.joint_position - upper)
     ]
     amounts = (*positions, *smoothed_nlp.exceeded(judged, attempt.nodes))

@@ -1,4 +1,4 @@
-r"""Pseudo-inverses with limits: what a crane does today, the point-wise optimal baselines of both papers.
+r"""Pseudo-inverses with limits: the pointwise optimal baselines of both papers.
 
 Least cylinder (or joint) velocities that give the tool its velocity, inside velocity limits: saturation in the null
 space (SNS: Flacco, De Luca, Khatib, ICRA 2012) with the weighted pseudo-inverse of eq. (9), 3-DOF paper, carried to

@@ -7,7 +7,7 @@ the points. As in section 6.1 of the 3-DOF paper the solution on few points is t
 ("bootstrapping"); here the smoothing is sharpened along, because from a sharp cost IPOPT does not converge.
 
 A limit kept at the points may be exceeded between them. The judge says where and by how much; there the limits at
-the neighbouring points are drawn in and the last problem is solved again.
+the neighbouring points are tightened and the last problem is solved again.
 
 | symbol | name | unit |
 | --- | --- | --- |
@@ -26,7 +26,7 @@ import numpy as np
 
 from leanboom.evaluation.evaluate import evaluate
 from leanboom.methods import smoothed_nlp
-from leanboom.methods.smoothed_nlp import Attempt, Drawn, Level
+from leanboom.methods.smoothed_nlp import Attempt, Level, Tightening
 from leanboom.model import crane as cranes
 from leanboom.model import motion
 from leanboom.model.motion import Motion
@@ -190,8 +190,8 @@ def plan(task: Task, cost: str, start: float, tell: Progress = quiet, settings: 
     corners = np.cumsum(task.path.durations) if isinstance(task.path, Lines) else np.array([task.duration])
     edges = np.concatenate([[0.0], corners])
 
-    def solve(level: Level, guess: Attempt | None, drawn: Drawn) -> Attempt:
-        return _solve(problem, functions, mesh(edges, level.nodes), level, seed(guess), drawn)
+    def solve(level: Level, guess: Attempt | None, tightening: Tightening) -> Attempt:
+        return _solve(problem, functions, mesh(edges, level.nodes), level, seed(guess), tightening)
 
     def seed(guess: Attempt | None) -> Motion:
         if guess is not None:
@@ -200,7 +200,7 @@ def plan(task: Task, cost: str, start: float, tell: Progress = quiet, settings: 
         held[0] = start
         return motion.make(problem.step, held, 0.0 * held, 0.0 * held[1:], METHOD, cost)
 
-    result = smoothed_nlp.bootstrap(LEVELS[cost], solve, lambda attempt: _draw_in(problem, attempt), cost, tell)
+    result = smoothed_nlp.bootstrap(LEVELS[cost], solve, lambda attempt: _tightening(problem, attempt), cost, tell)
     return replace(result, solve_s=time.perf_counter() - began)
 
 
@@ -225,9 +225,9 @@ def _solve(
     points: Mesh,
     level: Level,
     guess: Motion,
-    drawn: Drawn,
+    tightening: Tightening,
 ) -> Attempt:
-    """Solve one level from a guess that starts where the motion shall, limits drawn in as `_draw_in` says."""
+    """Solve one level from a guess that starts where the motion shall, limits tightened as `_tightening` says."""
     count = points.time.size
     plane = cranes.plane(problem.task.machine, sample(problem.task, points.time))
     columns = [getattr(plane, field.name) for field in fields(plane)]
@@ -238,9 +238,9 @@ def _solve(
     acceleration = np.tile([c.acceleration_limit for c in cylinders], (count, 1))
     lowest = np.interp(points.time, problem.time, problem.lower)
     highest = np.interp(points.time, problem.time, problem.upper)
-    if drawn is not None:
-        lowest, highest = lowest + drawn[0][:, 0], highest - drawn[0][:, 1]
-        velocity, acceleration = velocity - drawn[1], acceleration - drawn[2]
+    if tightening is not None:
+        lowest, highest = lowest + tightening[0][:, 0], highest - tightening[0][:, 1]
+        velocity, acceleration = velocity - tightening[1], acceleration - tightening[2]
     low = np.stack([lowest, -velocity[:, -1], -acceleration[:, -1]], axis=1)
     high = np.stack([highest, velocity[:, -1], acceleration[:, -1]], axis=1)
     start = float(guess.position[0])
@@ -257,8 +257,8 @@ def _solve(
     return Attempt(evaluate(problem.task, found), answer, points.time)
 
 
-def _draw_in(problem: stages.Problem, attempt: Attempt) -> Drawn:
-    """By how much to draw in the limits at the nodes; None: nothing to do.
+def _tightening(problem: stages.Problem, attempt: Attempt) -> Tightening:
+    """Constraint tightening at the nodes; None where no limit is exceeded.
 
     Returns:
         Lower and upper position [m], (nodes, 2); velocities [m/s] and accelerations [m/s^2], (nodes, moving).
@@ -267,9 +267,9 @@ def _draw_in(problem: stages.Problem, attempt: Attempt) -> Drawn:
     c = judged.length[:, -1]
     below = np.interp(judged.time, problem.time, problem.lower) - c
     outside = np.stack([below, c - np.interp(judged.time, problem.time, problem.upper)], axis=1)
-    least = 0.5 * (smoothed_nlp.KEPT - 1.0) * np.ptp(feasible_strokes.stroke_range(problem.task))
+    least = 0.5 * (smoothed_nlp.USABLE_SHARE - 1.0) * np.ptp(feasible_strokes.stroke_range(problem.task))
     position = smoothed_nlp.around(
-        np.where(outside > least, smoothed_nlp.DRAWN * outside, 0.0), judged.time, attempt.nodes
+        np.where(outside > least, smoothed_nlp.TIGHTENING * outside, 0.0), judged.time, attempt.nodes
     )
     velocity, acceleration = smoothed_nlp.exceeded(judged, attempt.nodes)
     amounts = position, velocity[:, problem.moving], acceleration[:, problem.moving]

@@ -1,4 +1,4 @@
-"""What the direct methods share: smoothed costs, a nonlinear program made of nodes, limits drawn in.
+"""Smoothed nonlinear programs of the direct methods: smooth costs, assembly from nodes, constraint tightening.
 
 The program is: least sum of the nodes' costs, rows of each node within bounds, linear equations between nodes.
 `pseudospectral` and `multiple_shooting` differ in what a node is and in the linear equations.
@@ -30,10 +30,10 @@ from leanboom.model.outcome import Kind, Outcome
 from leanboom.progress import Progress
 
 KILO, MEGA = 1e-3, 1e-6  # power in kW, pressure in MPa
-REPAIRS = 4  # solves with limits drawn in where they are exceeded between the nodes
-DRAWN = 1.2  # by this share of what they are exceeded by
-CALMED = 3.0  # and with the damping raised by this factor: a swing between nodes touches no limit at them
-KEPT = 1.0005  # a limit used up to this needs no repair; half of what the judge tolerates
+REPAIRS = 4  # solves with limits tightened where they are exceeded between the nodes
+TIGHTENING = 1.2  # by this share of what they are exceeded by
+DAMPING_FACTOR = 3.0  # and with the damping raised by this factor: a swing between nodes touches no limit at them
+USABLE_SHARE = 1.0005  # a limit used up to this needs no repair; half of what the judge tolerates
 IPOPT = {
     "print_level": 0,
     "sb": "yes",
@@ -227,7 +227,7 @@ def _place(ca, nonzeros, row, column, shape):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
-    """What IPOPT made of a program."""
+    """IPOPT's answer to a program."""
 
     values: np.ndarray  # (nodes, variables)
     converged: bool
@@ -292,18 +292,18 @@ class Attempt:
     nodes: np.ndarray  # their times [s], (nodes,)
 
 
-Drawn = tuple[np.ndarray, ...] | None  # by how much limits are drawn in at the nodes
-Solve = Callable[[Level, Attempt | None, Drawn], Attempt]
-DrawIn = Callable[[Attempt], Drawn]
+Tightening = tuple[np.ndarray, ...] | None  # by how much limits are tightened at the nodes
+Solve = Callable[[Level, Attempt | None, Tightening], Attempt]
+Tighten = Callable[[Attempt], Tightening]
 
 
-def bootstrap(levels: tuple[Level, ...], solve: Solve, draw_in: DrawIn, cost: str, tell: Progress) -> Motion:
-    """Solve level after level, each from the one before, then the last with limits drawn in where it exceeds them.
+def bootstrap(levels: tuple[Level, ...], solve: Solve, tighten: Tighten, cost: str, tell: Progress) -> Motion:
+    """Solve level after level, each from the one before, then the last with limits tightened where it exceeds them.
 
     Args:
         levels: From coarse and smooth to fine and sharp.
-        solve: Solves a level from an attempt (None: the first guess), with limits drawn in.
-        draw_in: By how much an attempt asks for limits to be drawn in; None: nothing to do.
+        solve: Solves a level from an attempt (None: the first guess), with limits tightened.
+        tighten: By how much an attempt asks for limits to be tightened; None: nothing to do.
         cost: "ls" or "cp".
         tell: Called with what happens and the share done.
 
@@ -316,9 +316,9 @@ def bootstrap(levels: tuple[Level, ...], solve: Solve, draw_in: DrawIn, cost: st
     settled: tuple[Level, Attempt] | None = None
     log: list[str] = []
 
-    def attempt(level: Level, guess: Attempt | None, drawn: Drawn) -> Attempt:
+    def attempt(level: Level, guess: Attempt | None, tightening: Tightening) -> Attempt:
         nonlocal best, settled
-        made = solve(level, guess, drawn)
+        made = solve(level, guess, tightening)
         seconds, energy = time.perf_counter() - began, made.judged.energy(cost)
         log.append(f"{seconds:6.2f} s  {level}: {made.answer.raw}, judged {1e-3 * energy:.5g} kJ, {made.judged.status}")
         if made.answer.converged:
@@ -331,16 +331,16 @@ def bootstrap(levels: tuple[Level, ...], solve: Solve, draw_in: DrawIn, cost: st
     for i, level in enumerate(levels):
         tell(str(level), i / len(levels))
         last = attempt(level, settled[1] if settled is not None else last, None)
-    drawn = None
+    tightening = None
     for _ in range(REPAIRS):
-        more = draw_in(settled[1]) if settled is not None else None
+        more = tighten(settled[1]) if settled is not None else None
         if settled is None or more is None:
             break
-        tell("limits drawn in", 1.0)
-        before = drawn
-        drawn = more if before is None else tuple(old + new for old, new in zip(before, more, strict=True))
-        level = replace(settled[0], damping=settled[0].damping * CALMED)
-        last = attempt(level, settled[1], drawn)
+        tell("limits tightened", 1.0)
+        before = tightening
+        tightening = more if before is None else tuple(old + new for old, new in zip(before, more, strict=True))
+        level = replace(settled[0], damping=settled[0].damping * DAMPING_FACTOR)
+        last = attempt(level, settled[1], tightening)
         if not last.answer.converged:
             break
     tell("done", 1.0)
@@ -353,14 +353,14 @@ def bootstrap(levels: tuple[Level, ...], solve: Solve, draw_in: DrawIn, cost: st
 
 
 def exceeded(judged: Evaluation, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far to draw in the limits of cylinder velocity and acceleration around each node.
+    """How far to tighten the limits of cylinder velocity and acceleration around each node.
 
     Args:
         judged: The motion that exceeds them.
         nodes: Times of the nodes [s], (nodes,).
 
     Returns:
-        Amounts [m/s] and [m/s^2], (nodes, joints) each; 0 where no more than `KEPT` of the limit is used.
+        Amounts [m/s] and [m/s^2], (nodes, joints) each; 0 where no more than `USABLE_SHARE` of the limit is used.
     """
     amounts = []
     cylinders = judged.task.machine.cylinders
@@ -369,7 +369,7 @@ def exceeded(judged: Evaluation, nodes: np.ndarray) -> tuple[np.ndarray, np.ndar
         (judged.acceleration, [c.acceleration_limit for c in cylinders]),
     ):
         bound = np.array(limits)
-        amounts.append(np.where(np.abs(values) > KEPT * bound, DRAWN * (np.abs(values) - bound), 0.0))
+        amounts.append(np.where(np.abs(values) > USABLE_SHARE * bound, TIGHTENING * (np.abs(values) - bound), 0.0))
     return around(amounts[0], judged.time, nodes), around(amounts[1], judged.time, nodes)
 
 

@@ -27,14 +27,14 @@ def supply_of(pump: Pump, supply: Supply) -> tuple[float, Shaft]:
 
 
 def demand_of(crane: Crane, cylinder: int) -> tuple[float, float, float, float, float]:
-    """Constants of the pressure that a cylinder, by its number, demands: of `hydraulics.counted_pressure`, in order."""
+    """Constants of the pressure that a cylinder, by its number, demands: of `hydraulics.pressure_demand`, in order."""
     d = crane.drives[cylinder]
     return crane.machine.driven_velocity, d.gain_out, d.back_out, d.gain_in, d.back_in
 
 
 def demanded_pressure(crane: Crane, cylinder: int, velocity: Any, force: Any) -> Any:
     """Pressure that a cylinder, by its number, demands of a load-sensing pump [Pa]. Eq. (41)."""
-    return hydraulics.counted_pressure(velocity, force, *demand_of(crane, cylinder))
+    return hydraulics.pressure_demand(velocity, force, *demand_of(crane, cylinder))
 
 
 def rate(

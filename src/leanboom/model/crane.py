@@ -2,7 +2,7 @@
 
 Everything leanboom computes about a crane goes through here, on NumPy arrays (tables, judge) as well as on
 CasADi symbols (collocation, simulation): inverse kinematics of the non-redundant joints, eqs. (33)-(35);
-cylinder coordinates, eqs. (10)-(12); forces, eq. (16); flows and counted pressures, eqs. (37) and (41).
+cylinder coordinates, eqs. (10)-(12); forces, eq. (16); flows and demanded pressures, eqs. (37) and (41).
 
 A state is completed in two steps, because tables need many motions at each pose:
 `pose` evaluates all that depends on position alone, `move` adds velocity and acceleration.

@@ -1,4 +1,4 @@
-"""What became of a plan or of a run: a sentence for people, and its kind for what decides."""
+"""Outcome of a plan or of a run: a sentence for people, and a kind for programs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Kind(Enum):
-    """What can become of a plan or of a run."""
+    """Kinds of outcomes of a plan or of a run."""
 
     SOLVED = "every limit is kept, and the pump can deliver it"
     UNDELIVERABLE = "every limit is kept, but the pump cannot deliver it"

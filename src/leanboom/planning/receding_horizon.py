@@ -1,15 +1,16 @@
 """Receding horizon: plan along a path that is known only some seconds ahead, and again as it comes to be known.
 
 Every `every` seconds the motion over the known part of the path is planned from the present state, and its beginning
-is carried out. Nothing of the path beyond the horizon is used. What the unknown rest is worth is priced at the
-horizon's end, from the known end point alone (see `Price`); once the end of the path is in sight, the motion ends at
+is carried out. Nothing of the path beyond the horizon is used. A terminal cost at the horizon's end, from the known end
+point alone, stands for the unknown rest (see `TerminalCost`); once the end of the path is in sight, the motion ends at
 rest there and is carried out as planned.
 
 The closed-up motion keeps the limits of every stage, because each plan does over its whole horizon and only its
 beginning is used: `horizon` - `every` seconds remain to react to what comes into sight. Two measures keep the next
-plan feasible too. The price makes the redundant cylinder able to stop before the ends of its feasible extensions at
-the horizon's end. And the rest of the previous plan is always among the candidates, so a plan is only given up for
-a better one. This is no proof: a path may turn, beyond the horizon, to where no motion from the present state leads.
+plan feasible too. The terminal cost makes the redundant cylinder able to stop before the ends of its feasible
+extensions at the horizon's end. And the rest of the previous plan is always among the candidates, so a plan is only
+given up for a better one. This is no proof: a path may turn, beyond the horizon, to where no motion from the present
+state leads.
 """
 
 from __future__ import annotations
@@ -37,44 +38,44 @@ from leanboom.problem import feasible_strokes, stages, starts
 from leanboom.problem.stages import Problem
 from leanboom.quantities.ranges import STAGE, checked, noted, one_of
 
-# See `Price`. Tuned on the loader's bundled tasks; a third or three times `WORTH` loses up to 8 % there, at 3 s.
-ROOM, WORTH = 0.8, 0.15
+# See `TerminalCost`. Tuned on the bundled loader tasks: a third or three times the value loses up to 8 %, at 3 s.
+RETRACTION_MARGIN, RETRACTION_VALUE = 0.8, 0.15
 BRAKE = 0.5  # share of the acceleration limit that stopping before an end may take
 LEVELS = tuple(0.5**level for level in range(6))  # tubes around the coarse motion
 TUBE = (31, 25)  # their nodes
 # Denser than `registry.GRID`: this coarse program alone chooses among local minima, no search over several follows.
 # With 101 x 51 nodes forwarder-vertical from the middle takes 6 % more (ls).
 GRID = (141, 71)
-NEAR = LEVELS[2:]  # tubes around the rest of the previous plan
+LATER_LEVELS = LEVELS[2:]  # tubes around the rest of the previous plan
 
 
 @dataclass(frozen=True, slots=True)
-class Price:
-    """What a state at the horizon's end costs, because of what may come.
+class TerminalCost:
+    """Terminal cost of a state at the end of the horizon: room to retract, and stopping before the end of a stroke.
 
     Room to retract is worth energy: a tool that comes nearer takes little from the pump while the telescope retracts,
-    and much once it cannot and the other cylinders lift instead. A metre of room costs up to `worth` where there is
-    none left, in proportion less up to `room`. And a velocity at which the cylinder cannot stop before an end of its
+    and much once it cannot and the other cylinders lift instead. A metre of room costs up to `value` where there is
+    none left, in proportion less up to `margin`. And a velocity at which the cylinder cannot stop before an end of its
     feasible extensions costs like leaving them.
     """
 
     low: float  # smallest feasible extension at the horizon's end [m]
     high: float  # largest [m]
-    room: float  # distance from the smallest that is enough [m]
-    worth: float  # price of room at the smallest [J/m]
+    margin: float  # distance from the smallest that is enough [m]
+    value: float  # value of retraction at the smallest extension [J/m]
     brake: float  # deceleration counted on [m/s^2]
-    slope: float  # price of being beyond an end [J/m]
+    slope: float  # penalty beyond an end [J/m]
 
     def __call__(self, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Price [J] of positions [m] and velocities [m/s], arrays that broadcast."""
+        """TerminalCost [J] of positions [m] and velocities [m/s], arrays that broadcast."""
         stops = position + 0.5 * velocity * np.abs(velocity) / self.brake
         beyond = np.maximum(0.0, self.low - stops) + np.maximum(0.0, stops - self.high)
-        short = np.maximum(0.0, 1.0 - (position - self.low) / self.room)
-        return 0.5 * self.worth * self.room * short**2 + self.slope * beyond
+        short = np.maximum(0.0, 1.0 - (position - self.low) / self.margin)
+        return 0.5 * self.value * self.margin * short**2 + self.slope * beyond
 
 
-def price(problem: Problem, cost: str) -> Price:
-    """The price of ending a problem anywhere, from its last point alone.
+def terminal_cost(problem: Problem, cost: str) -> TerminalCost:
+    """The terminal cost of a problem, from its last point alone.
 
     Room is worth a share of what it takes to move the redundant cylinder by a metre, the tool standing at the last
     point: supply pressure there times the flow of all cylinders.
@@ -91,11 +92,11 @@ def price(problem: Problem, cost: str) -> Price:
     constant, shaft = supply_of(machine.pump, COSTS[cost].supply)
     supply = constant + (highest if COSTS[cost].loads else 0.0)
     shortest, longest = feasible_strokes.stroke_range(problem.task)
-    return Price(
+    return TerminalCost(
         low,
         high,
-        ROOM * (longest - shortest),
-        WORTH * float(hydraulics.pump_power(supply, flow, *shaft)),
+        RETRACTION_MARGIN * (longest - shortest),
+        RETRACTION_VALUE * float(hydraulics.pump_power(supply, flow, *shaft)),
         BRAKE * machine.redundant.acceleration_limit,
         value_function.slopes(problem, cost)[0],
     )
@@ -181,12 +182,12 @@ def _plan(
     until = task.duration if last == count else last * step
     known = replace(task, path=Part(task.path, first * step, until), start="middle", smooth=None)
     problem = stages.discretise(known, step)
-    end = None if last == count else price(problem, cost)
+    end = None if last == count else terminal_cost(problem, cost)
     search = Search(problem, cost, position, velocity, end, TUBE)
     best = search.refine(search.solve(grids.full_grid(problem, *grid)), LEVELS)
     if previous is None:
         return best
-    other = search.refine(evaluate(known, track(search, previous, first * step)), NEAR)
+    other = search.refine(evaluate(known, track(search, previous, first * step)), LATER_LEVELS)
     return min(best, other, key=search.score)
 
 

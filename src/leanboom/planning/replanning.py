@@ -133,7 +133,7 @@ def _coarse(rest: Task, search: Search, step: float, grid: tuple[int, int]) -> M
 
 
 def track(search: Search, around: Motion | Continuation, since: float) -> Motion:
-    """Follow a motion from a state beside it: the deviation dies away within `SETTLE`, smoothly.
+    """Motion that starts at a state beside a given one and joins it smoothly within `SETTLE`.
 
     Args:
         search: The problem and the state.

@@ -1,4 +1,4 @@
-"""A typical total cost of a task: what penalties and tolerances are relative to."""
+"""Typical total cost of a task: the scale of penalties and tolerances."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def coefficients(problem: Problem, positions: np.ndarray) -> np.ndarray:
     return found
 
 
-def prescribed(problem: Problem, cost: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def path_determined(problem: Problem, cost: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What the cylinders that the path alone moves add at every stage.
 
     With `slewing_inertia` the base force depends on the extension a little; it is taken at the middle one.

@@ -165,7 +165,7 @@ def _cylinder_charts(plan: Plan, behind: dict[str, Evaluation], at: np.ndarray) 
             (LENGTHS, "position" if joint.name == "base" else "length", "m", "length", 1.0, ends),
             ("Velocities, with their limits", "velocity", "m/s", "velocity", 1.0, [-fastest, fastest]),
             ("Forces", "force", "kN", "force", 1e-3, []),
-            ("Counted pressures, with the pump's highest", "pressure", "MPa", "pressure", 1e-6, [1e-6 * highest]),
+            ("Demanded pressures, with the pump's highest", "pressure", "MPa", "pressure", 1e-6, [1e-6 * highest]),
         ):
             lines, grey = (
                 {called: scale * getattr(motion, name)[at, j] for called, motion in motions.items()}

@@ -1,4 +1,4 @@
-"""Controllers: what turns measured cylinders and their targets into valve commands, every 2 ms.
+"""Controllers: valve commands from measured cylinder motions and their targets, every 2 ms.
 
 A controller is any class that is made with a `Rig` and answers a `Sample` with commands from -1 to 1, one a cylinder
 for a mobile valve, two (ports A and B) for independent metering:

@@ -1,4 +1,4 @@
-"""What went against the plan in a simulated run: when, where and why, one sentence each.
+"""Events of a simulated run that deviate from the plan: time, place and cause, one sentence each.
 
 | kind | what happened |
 | --- | --- |

@@ -41,7 +41,7 @@ Value = Any
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where things stand in the state of n cylinders."""
+    """Index ranges of the state vector of n cylinders."""
 
     n: int
 
