@@ -226,12 +226,12 @@ def counted(v, F, drive=DRIVE, epsilon=EPSILON):
         (0.0, 0.0, 0.0),
     ],
 )
-def test_counted_pressures(v, F, pressure):
+def test_demanded_pressures(v, F, pressure):
     assert counted(v, F) == pytest.approx(pressure, rel=1e-12, abs=1e-9)
 
 
 @given(v=st.floats(-0.4, 0.4), F=st.floats(-3e5, 3e5))
-def test_counted_pressure_is_equation_41(v, F):
+def test_demanded_pressure_is_equation_41(v, F):
     """Written out with an `if` for every Heaviside step."""
 
     def step(x):
@@ -244,7 +244,7 @@ def test_counted_pressure_is_equation_41(v, F):
 
 
 @given(v=st.floats(-0.4, 0.4), F=FORCE)
-def test_a_counted_pressure_is_never_negative(v, F):
+def test_a_demanded_pressure_is_never_negative(v, F):
     for drive in (*FORWARDER.drives, *LOADER.drives):
         assert counted(v, F, drive) >= -1e-300  # F v may underflow to zero
 
