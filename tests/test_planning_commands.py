@@ -76,7 +76,7 @@ def test_plan_without_options_uses_the_stated_defaults(calls):
     leanboom("plan", "forwarder-vertical")
     task, settings = calls[0]
     assert task.start == "smallest"
-    defaults = {"pump": "ls", "cost": None, "method": "dp", "grid": (101, 51), "step": 0.05, "effort": "default"}
+    defaults = {"pump": "ls", "cost": None, "method": "dp", "grid": (121, 61), "step": 0.05, "effort": "default"}
     assert settings == defaults | {"seconds": 300.0, "gap": None, "check": False}
 
 

@@ -102,7 +102,8 @@ class Search:
         """
         problem = stages.discretise(self.task, self.step)
         start = starts.start_position(problem, self.task.start)
-        found = [self.descend(problem, seed, start, FIRST_LEVELS) for seed in self.coarse(problem, start)]
+        coarse = [seed for density in self.effort.grids for seed in self.coarse(problem, start, density)]
+        found = [self.descend(problem, seed, start, FIRST_LEVELS) for seed in coarse]
         for seed in seeds:
             judged = self.judge(seed, "given motion")
             found.append(judged)
@@ -135,16 +136,22 @@ class Search:
         assert self.best is not None
         return self.best
 
-    def coarse(self, problem: Problem, start: float | None) -> list[Motion]:
+    def coarse(self, problem: Problem, start: float | None, density: float = 1.0) -> list[Motion]:
         """Motions of the coarse program: one for each local minimum worth following, the best first.
 
         Velocities reach as far as motions make use of them, and no farther than the limit.
+
+        Args:
+            problem: The discretised task.
+            start: The start of the redundant cylinder [m]; None where it is free.
+            density: Nodes along position and velocity, in those of the grid asked for.
         """
+        nodes = round(density * self.grid[0]), round(density * self.grid[1])
         limit = problem.crane.machine.redundant.velocity_limit
         self.span = problem.pace
         while True:
             self.tell(f"coarse dynamic program, velocities up to {self.span:.3g} m/s", 0.05)
-            grid = grids.full_grid(problem, *self.grid, self.span)
+            grid = grids.full_grid(problem, *nodes, self.span)
             policy = value_function.solve(problem, grid, self.cost)
             if self.effort.minima > 1:
                 self.tell("local minima", 0.2)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from leanboom.model.task import Task
     from leanboom.progress import Progress
 
-GRID = (101, 51)  # positions and velocities of the coarse program: denser ones end no lower on random tasks
+GRID = (121, 61)  # positions and velocities of the coarse program: coarser ones miss local minima of random tasks
 STEP = 0.05  # length of a stage [s]
 
 
@@ -32,6 +32,7 @@ class Effort:
     share: float  # how much more than the best they may cost on the coarse grid
     leading: int  # of them, refined further at most
     shortest: int  # stages are at most this many times shorter at the end
+    grids: tuple[float, ...] = (1.0,)  # coarse grids that show local minima, in nodes of the one asked for
 
     def most(self, count: int, loads: bool) -> int:
         """Local minima to follow on a number of stages; without loads there are few."""
@@ -41,7 +42,7 @@ class Effort:
 EFFORTS = {
     "quick": Effort(1, 0, 0.0, 1, 1),
     "default": Effort(4, 800, 0.02, 2, 4),
-    "thorough": Effort(24, 4800, 0.05, 4, 4),
+    "thorough": Effort(24, 4800, 0.05, 4, 4, (1.0, 1.7)),
 }
 
 
