@@ -36,6 +36,7 @@ WIDTH, SPREAD = 0.03, 0.12
 # narrower tubes do with fewer positions. The last where the motion follows an end of feasible extensions that moves.
 TUBE, LOADED_TUBE, NARROW_TUBE, RIDING_TUBE = (17, 17), (17, 65), (9, 65), (31, 33)
 FIRST_LEVELS, NEXT_LEVELS, LAST_LEVELS = (0,), (0, 2), (1, 2)  # of local minima, the best, finer stages
+FINEST_LEVELS = (0, 1, 2)  # with loads, on stages a quarter as long and less
 RIDING_LEVELS = (2, 3, 4, 5)  # with loads, where the motion follows a moving end
 LEAST_STAGES = 200  # with loads switches begin and end with stages: a short task has shorter ones
 SAME = 1e-6  # local minima whose costs differ by less than this share are one
@@ -248,8 +249,9 @@ class Search:
     def finer_stages(self, start: float | None) -> None:
         """Refine on stages half and a quarter as long: switches and moving limits ask for it.
 
-        The second halving is for tasks of few stages with loads, and where a moving limit made the first one pay. More
+        They are halved again where that paid and loads count or a limit moves, and for short tasks with loads. More
         follow where the best motion keeps its limits between stages by tightened ones alone: shorter stages need less.
+        Where shorter stages pay with loads, motions switch at almost every stage; wide tubes find others of that kind.
         """
         factor = 2
         while factor <= self.effort.shortest * (TIGHTENED if self.best is self.tightened else 1):
@@ -258,11 +260,13 @@ class Search:
             self.tell(f"stages of {problem.step:.3g} s", 0.8)
             self.polish(problem, before.motion, start is None)
             if self.loads:
-                self.descend(problem, self.known_best().motion, start, LAST_LEVELS)
+                levels = LAST_LEVELS if factor == 2 else FINEST_LEVELS
+                self.descend(problem, self.known_best().motion, start, levels)
             elif self.rides_on_a_limit(problem):
                 self.descend(problem, self.known_best().motion, start, LAST_LEVELS[1:])
             gained = gains(judged_cost(before, self.cost), judged_cost(self.known_best(), self.cost), FINER)
-            if before.feasible and not self.short and not (gained and self.rides_on_a_limit(problem)):
+            more = gained and (self.loads or self.rides_on_a_limit(problem))
+            if before.feasible and not self.short and not more:
                 break
             factor *= 2
 
