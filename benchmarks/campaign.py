@@ -332,8 +332,9 @@ def main() -> None:
             tally.look_again(task, number, arguments)
         if done % 10 == 0:
             print(f"{done} tasks, {time.perf_counter() - began:.0f} s", flush=True)
-    for tally in tallies:
-        tally.report()
+        if done % 10 == 0 or done == arguments.tasks:
+            for tally in tallies:
+                tally.report()
 
 
 if __name__ == "__main__":
