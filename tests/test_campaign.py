@@ -1,13 +1,13 @@
-"""A small part of `benchmarks.campaign`: default plans of a random task, and that worse plans and broken relations are found."""
+"""A small part of `benchmarks.campaign`: plans of a random task; worse plans and broken relations are found."""
 
 from argparse import Namespace
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks import campaign
 
 import leanboom as lb
-from benchmarks import campaign
 from leanboom.components.costs import PUMPS
 from leanboom.model import motion
 
