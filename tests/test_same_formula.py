@@ -177,7 +177,7 @@ def cell(state: State, cost: str) -> dict[str, Any]:
         np.array([[state.w - tiny, state.w + tiny]]), bounds, np.array([w - tiny, 2.0 * tiny, 0.0]),
         np.array([ahead - 1e-3, ahead + 1e-3]), np.array([[w - tiny, w + tiny]]), bounds,
         partition._fixed(problem, cost)[k], stage_arrays.cylinder_table(problem, cost),
-        stage_arrays.setting(problem, cost, (0.0, 0.0, 0.0, 0.0), held=1.0),
+        stage_arrays.setting(problem, cost, (0.0, 0.0, 0.0, 0.0), share=1.0),
     )  # fmt: skip
     planes, found = np.zeros((1, 1, 4)), np.zeros((1, 1))
     bellman_bounds.backward(stage, 0, 1, True, np.zeros((1, 1)), planes, planes, found, np.zeros((0, 0)))

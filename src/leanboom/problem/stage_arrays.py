@@ -17,7 +17,7 @@ from leanboom.model.cost_rates import demanded_pressure, supply_of, terms_of
 from leanboom.problem import layout
 from leanboom.problem.stages import Problem
 
-HELD = 0.99  # planned motions hold a cylinder within this share of the velocity that counts as driven
+AT_REST = 0.99  # in plans a cylinder no faster than this share of the threshold `driven_velocity` is at rest
 
 
 def coefficients(problem: Problem, positions: np.ndarray) -> np.ndarray:
@@ -85,16 +85,18 @@ def cylinder_table(problem: Problem, cost: str) -> np.ndarray:
     return np.array(rows)[problem.moving]
 
 
-def threshold(problem: Problem, share: float = HELD) -> float:
-    """Share of the velocity that counts as driven [m/s], below which planned motions hold a cylinder."""
+def threshold(problem: Problem, share: float = AT_REST) -> float:
+    """Velocity up to which a planned cylinder is at rest [m/s]: a share of the machine's threshold, eq. (41)."""
     return share * problem.crane.machine.driven_velocity
 
 
-def setting(problem: Problem, cost: str, slopes: tuple[float, float, float, float], held: float = HELD) -> np.ndarray:
+def setting(
+    problem: Problem, cost: str, slopes: tuple[float, float, float, float], share: float = AT_REST
+) -> np.ndarray:
     """The kernels' scalars; slopes are the penalties per violated m, m/s (state), m/s and m/s^2 (cylinders)."""
     machine, terms = problem.crane.machine, terms_of(problem.crane, cost)
     supply, (efficiency, *losses) = supply_of(machine.pump, terms.supply)
     return np.array(
-        [problem.step, terms.supply is Supply.LOAD_SENSING, terms.work, threshold(problem, held), supply,
+        [problem.step, terms.supply is Supply.LOAD_SENSING, terms.work, threshold(problem, share), supply,
          efficiency, *slopes, *losses]
     )  # fmt: skip
