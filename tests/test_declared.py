@@ -17,7 +17,7 @@ from leanboom.cli.app import app
 from leanboom.components.circuits import Circuit
 from leanboom.components.linkages import LINKAGES, Linkage
 from leanboom.components.paths import PATHS, Lines, Spline
-from leanboom.components.valves import METERING, VALVES, Edges, IndependentMetering, Valve, driven
+from leanboom.components.valves import METERING, VALVES, Edges, IndependentMetering, Valve, drive_of
 from leanboom.errors import InputError
 from leanboom.evaluation.evaluate import evaluate
 from leanboom.io import starter
@@ -61,7 +61,7 @@ class Throttled(Valve):
 
     def steady(self, cylinder, pump):
         """Flow areas and pressure lines of a cylinder on this valve."""
-        return driven(cylinder, pump, self.remaining, self.remaining, 0.0)
+        return drive_of(cylinder, pump, self.remaining, self.remaining, 0.0)
 
     def edges(self, cylinder, circuit):
         """Compensated edges, as large as the circuit says."""

@@ -107,7 +107,7 @@ def shares_of(problem: Problem, guess: Motion) -> np.ndarray:
     """Via-points on a motion, as shares of the feasible extensions, (POINTS,)."""
     at = via_times(problem)[1:]
     low, high = np.interp(at, problem.time, problem.lower), np.interp(at, problem.time, problem.upper)
-    return np.clip((guess.at(at)[0] - low) / np.maximum(high - low, feasible_strokes.PROMISE), 0.0, 1.0)
+    return np.clip((guess.at(at)[0] - low) / np.maximum(high - low, feasible_strokes.STROKE_ACCURACY), 0.0, 1.0)
 
 
 def priced(problem: Problem, judged: Evaluation, cost: str, scale: float) -> float:

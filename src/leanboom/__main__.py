@@ -1,4 +1,4 @@
-"""The beginning of the command line, for `leanboom` and `python -m leanboom`: Ctrl-C is minded before all else.
+"""Entry point of the command line, for `leanboom` and `python -m leanboom`: Ctrl-C is handled from the first import on.
 
 An interruption while modules load would end in a traceback, or in whatever a library makes of it. So until a command
 does its work, and after it, Ctrl-C ends the process at once: there is nothing to tidy up.
@@ -21,7 +21,7 @@ def main() -> None:
 
 
 def _leave(*_: object) -> None:
-    """Say so and end the process."""
+    """Print that the run was interrupted, and end the process."""
     try:
         os.write(2, b"leanboom: interrupted\n")
     finally:

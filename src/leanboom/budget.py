@@ -40,10 +40,10 @@ class Budget:
 
     @property
     def spent(self) -> float:
-        """What counts [s]: processor time on every processor, or time by the clock over `PATIENCE` if that is more."""
+        """Time counted [s]: processor time on every processor, or time by the clock over `PATIENCE` if more."""
         return max(self.processor / self.shared, self.gone / PATIENCE)
 
     @property
     def over(self) -> bool:
-        """Whether all is spent."""
+        """Whether the whole budget is spent."""
         return self.spent > self.seconds

@@ -64,7 +64,7 @@ def njit(**options: Any) -> Callable[[F], F]:
 
 @contextmanager
 def told(tell: Progress) -> Iterator[None]:
-    """Tell of every kernel that is compiled inside the `with` block; of those that are at hand, nothing.
+    """Context that reports every kernel compiled inside the `with` block, not those loaded.
 
     Args:
         tell: Called with what happens and the share done.
@@ -74,14 +74,14 @@ def told(tell: Progress) -> Iterator[None]:
 
 
 class _Compilations(event.Listener):
-    """Hears of functions that numba compiles."""
+    """Listener to numba's compilation events."""
 
     def __init__(self, tell: Progress) -> None:
         self._tell = tell
         self._done: set[Callable] = set()
 
     def on_start(self, event: event.Event) -> None:
-        """Tell how many kernels are compiled."""
+        """Report the number of kernels compiled so far."""
         if _function(event) in _kernels:
             text = f"compiling kernels, which takes a minute or two once: {len(self._done)} of up to {len(_kernels)}"
             self._tell(text, 0.0)
@@ -111,7 +111,7 @@ def _folder(module: str) -> str:
 
 @functools.cache
 def _place() -> Path:
-    """Where compiled code is kept, which can be written; what has long been out of use there is removed.
+    """The writable folder for compiled code; code long out of use there is removed.
 
     Raises:
         InputError: No folder can be written, not even a temporary one.
@@ -134,7 +134,7 @@ def _place() -> Path:
 
 
 def _user_folder() -> Path:
-    """Where this system keeps what programs can make again, in a folder of ours."""
+    """The system's cache folder for this package."""
     if sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
     elif sys.platform == "darwin":
@@ -145,7 +145,7 @@ def _user_folder() -> Path:
 
 
 def _temporary_folder() -> Path:
-    """A folder of this user alone: what others could write must not be run."""
+    """A temporary folder that only this user can write: code of others must not be run."""
     user = os.getuid() if hasattr(os, "getuid") else None  # temporary folders of Windows are a user's own
     folder = Path(tempfile.gettempdir()) / (f"leanboom-of-{user}" if user is not None else "leanboom")
     with suppress(OSError):
@@ -158,7 +158,7 @@ def _temporary_folder() -> Path:
 
 
 def _tried(place: Path) -> Path:
-    """A place for compiled code, made where it is missing, after a test of writing."""
+    """A folder for compiled code, created if missing and tested for writing."""
     place.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryFile(dir=place) as file:
         file.write(b"\0")

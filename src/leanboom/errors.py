@@ -1,4 +1,4 @@
-"""What leanboom raises: one base class, one class per exit code of the command line."""
+"""Exceptions of leanboom: one base class, one class per exit code of the command line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class LeanboomError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One thing that is wrong with a file."""
+    """A problem of a file: line, key, value, and the allowed values."""
 
     file: str  # as shown in messages
     line: int | None  # from 1

@@ -1,4 +1,4 @@
-"""What is chosen by name: this package's own, what installed packages bring, and what a program adds."""
+"""Registries of items by name: built in, from entry points of installed packages, and added by a program."""
 
 from __future__ import annotations
 

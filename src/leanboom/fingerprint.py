@@ -1,4 +1,4 @@
-"""The fingerprint of a module: what was made with other sources is not used again."""
+"""The fingerprint of a module: a hash of its sources and of all it imports."""
 
 from __future__ import annotations
 

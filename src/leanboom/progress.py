@@ -1,4 +1,4 @@
-"""How long work says what it does at the moment."""
+"""Type of the functions that report the progress of long work."""
 
 from __future__ import annotations
 
@@ -8,4 +8,4 @@ Progress = Callable[[str, float], None]  # called with what happens, and the sha
 
 
 def quiet(text: str, share: float) -> None:
-    """Progress that nobody looks at."""
+    """Progress that is not reported."""

@@ -1,4 +1,4 @@
-"""What the machine that computes has to give: memory and cores."""
+"""Resources of the computer: memory and cores."""
 
 from __future__ import annotations
 

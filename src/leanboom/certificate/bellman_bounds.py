@@ -63,7 +63,7 @@ enable_in_kernels()
 
 
 class Cell(NamedTuple):
-    """A cell's middle and half sizes, and what all transitions from it have in common."""
+    """A cell: middle, half sizes, and the forms that all transitions from it share."""
 
     at_middle: bool  # whether motions start from its middle alone
     c: float  # [m]
@@ -79,7 +79,7 @@ class Cell(NamedTuple):
 
 
 class Transition(NamedTuple):
-    """What transitions from a cell to one row of next velocities have in common."""
+    """The forms and bounds shared by the transitions from a cell to one row of next velocities."""
 
     c: float  # next position from middle to middle [m]
     w: float  # next velocity in the middle [m/s]
@@ -179,7 +179,7 @@ def snap(setting):
 
 @njit(cache=True, **INNER)
 def cell_forms(stage, p, r, at_middle, work):
-    """What all transitions from a cell, or from its middle, have in common; `coefficients` are those of its row."""
+    """The `Cell` of all transitions from a cell, or from its middle; `coefficients` are those of its row."""
     rows, edges, columns = stage.rows, stage.edges, stage.columns
     c, half_c = 0.5 * (rows[p + 1] + rows[p]), 0.5 * (rows[p + 1] - rows[p])
     w, half = 0.5 * (edges[p, r + 1] + edges[p, r]), 0.5 * (edges[p, r + 1] - edges[p, r])
@@ -210,7 +210,7 @@ def next_columns(stage, cell, count):
 
 @njit(cache=True, **INNER)
 def transition(stage, cell, j, work):
-    """What transitions from a cell to column `j` of the next stage have in common; `pressures` are filled."""
+    """The `Transition` from a cell to column `j` of the next stage; `pressures` are filled."""
     there, setting, forms = stage.lattice_ahead, stage.setting, work.pressures
     step, rate, half = setting[STEP], setting[STEP] / setting[EFFICIENCY], (0.5 + snap(setting)) * there[L_DW]
     w = there[L_W] + (j + 0.5) * there[L_DW]

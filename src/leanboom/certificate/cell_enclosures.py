@@ -1,8 +1,8 @@
-"""What holds over cells: velocities, accelerations and loads from enclosed coefficients, and where edges lie.
+"""Enclosures over cells: velocities, accelerations and loads from enclosed coefficients, and edges at thresholds.
 
 A stage's cells are rows of position by columns of velocity. Their coefficients are lines in the position within the
 row with a bounded error (`taylor_model`); from them follow bounds over a cell. Edges in velocity lie on a lattice, but
-where a cylinder begins to count as driven (LS) the nearest edge of the row is moved there: power jumps at that
+where a cylinder begins to demand pressure (LS) the nearest edge of the row is moved there: power jumps at that
 velocity, and a cell with the jump inside would have to take the cheaper side for all of it.
 
 Within the box of a transition everything is affine in (t, x, y) up to a bounded error, so the least value is attained
@@ -226,7 +226,7 @@ def cell_motion(coefficients, cylinder, setting, w, half, motion):
         motion[m, V_T] = row[A0, 1] + row[A1, 1] * w
         motion[m, V_X] = row[A1, 0]
         motion[m, V_E] = row[A0, 2] + row[A1, 2] * top + abs(row[A1, 1]) * half
-        # Which way the cylinder moves, and whether it surely counts as driven.
+        # Which way the cylinder moves, and whether it is surely metering.
         reach = abs(motion[m, V_T]) + abs(motion[m, V_X]) * half + motion[m, V_E]
         slow, fast = motion[m, V_M] - reach, motion[m, V_M] + reach
         motion[m, V_SIDE] = 1.0 if slow >= 0.0 else (-1.0 if fast <= 0.0 else 0.0)
@@ -298,7 +298,7 @@ def surely_beyond(a0, a1, limit, room):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def place_edges(model, setting, here, edges):
-    """Edges of a stage's cells in velocity, the nearest of each row moved to where cylinders begin to be driven.
+    """Edges of a stage's cells in velocity, the nearest of each row moved to the cylinders' thresholds of eq. (41).
 
     Any edges that do not fall are good ones. Each moves by at most `SNAP` of a cell's height; those on the velocity
     limits stay, or states between them and the limits would be in no cell.
@@ -334,7 +334,7 @@ def place_edges(model, setting, here, edges):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def hand_down(rows, edges, here, planes, through, finer_rows, finer_edges, finer, behind):
-    """Least energy of motions up to the cells of a finer level, from what motions through the larger cells take.
+    """Least energy of motions up to the cells of a finer level, from the excess of the larger cells.
 
     A motion through a cell that takes at least so much in all has at least that, less the bound there, behind it.
 

@@ -6,7 +6,7 @@ acceleration limits of every moving cylinder at every stage's start, from the gi
 not an estimate: coefficients are enclosed over cells with proven remainders (`taylor_model`), costs to go are bounded
 over cells (`lower_bounds`), and the rounding of floating-point numbers is covered by `refinement.ROUNDING`.
 
-A cylinder counts as driven above the machine's threshold itself; planned motions stay 1 % inside it, so the
+A cylinder demands pressure above the machine's threshold itself; planned motions stay 1 % inside it, so the
 bound holds for motions on the threshold too.
 """
 
@@ -56,7 +56,7 @@ class Certificate:
         return refinement.gap_between(self.energy_j, self.lower_bound_j)
 
     def json(self) -> dict[str, Any]:
-        """What `--json` adds: the bound beside the best motion's energy in the same discretisation, and its course."""
+        """The keys that `--json` adds: bound and best energy in the same discretisation, and the levels."""
         return {
             "discretised_energy_j": self.energy_j,
             "lower_bound_j": self.lower_bound_j,

@@ -33,7 +33,7 @@ GivenSlopes = Callable[[Cells, int], np.ndarray]  # as `value_slopes.Guide.slope
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bounds:
-    """Planes and floors below the cost to go over cells, and what they say of the start."""
+    """Planes and floors below the cost to go over cells, and the bound at the start."""
 
     cells: Cells
     planes: tuple[np.ndarray, ...]  # level [J], slopes [J/m], [J s/m], floor [J]: (rows, columns, 4); the end's, too
@@ -76,7 +76,7 @@ def bound(
     cells: Cells, start: float | None, check: Callable[[float], None], guide: GivenSlopes | None = None,
     limit: float = np.inf, coarse: bool = False,
 ) -> Bounds:  # fmt: skip
-    """The backward pass: planes below the cost to go over all cells.
+    """Planes below the cost to go over all cells, by the backward pass.
 
     Args:
         cells: The cells; motions that leave them are not bounded.
@@ -156,7 +156,7 @@ def slopes(values: np.ndarray, axis: int, at: np.ndarray) -> np.ndarray:
 
     Any slope gives a valid plane; these make planes that lie close. Along position, where values bend little and
     their differences are noisy: van Leer's mean of both sides of smoothed values. Along velocity, across the jumps
-    where a cylinder begins to count as driven: the smaller side.
+    where a cylinder begins to demand pressure: the smaller side.
 
     Args:
         values: Least cost to go from the cells' middles [J], inf where there is none, (rows, columns).
@@ -205,7 +205,7 @@ def _at_start(cells: Cells, planes: np.ndarray, start: float | None) -> np.ndarr
 
 
 def reach(found: Bounds, limit: float, check: Callable[[float], None]) -> tuple[np.ndarray, ...]:
-    """The forward pass: least excess over the bound with which a motion from the start enters each cell.
+    """Least excess over the bound with which a motion from the start enters each cell, by the forward pass.
 
     Args:
         found: The bounds.

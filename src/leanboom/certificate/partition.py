@@ -46,7 +46,7 @@ class Cells:
         return sum(int(np.isfinite(a).sum()) for a in self.active)
 
     def stage(self, k: int) -> Stage:
-        """What kernels take of a stage and the next one."""
+        """The arrays of a stage and the next one that kernels take."""
         return Stage(
             self.model[k], self.rows[k], self.edges[k], self.columns[k], self.lattice[k + 1], self.rows[k + 1],
             self.edges[k + 1], self.columns[k + 1], self.fixed[k], self.cylinder, self.setting,
@@ -64,7 +64,7 @@ class Cells:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Size:
-    """How finely whole stages are cut."""
+    """Sizes of the cells of whole stages."""
 
     positions: int  # rows between the ends of a stage's feasible extensions, narrower ones apart
     velocities: np.ndarray  # cells between the limits of the redundant cylinder's velocity, (stages,)
@@ -78,7 +78,7 @@ class Size:
 
 
 def size(problem: Problem, cost: str, beside: Motion | None = None, times: tuple[int, int] = (1, 1)) -> Size:
-    """How all feasible extensions and all velocities of every stage are cut on the first level, or more coarsely.
+    """The `Size` of cells over all feasible extensions and velocities of every stage, on the first level or coarser.
 
     Args:
         problem: The discretised task.
@@ -99,7 +99,7 @@ def size(problem: Problem, cost: str, beside: Motion | None = None, times: tuple
 
 
 def whole(problem: Problem, cost: str, beside: Motion | None = None, times: tuple[int, int] = (1, 1)) -> Cells:
-    """All feasible extensions and all velocities of every stage, cut as `size` says; arguments as there."""
+    """The cells of all feasible extensions and all velocities of every stage; arguments as in `size`."""
     cut = size(problem, cost, beside, times)
     corner = np.zeros(problem.stages, dtype=int)
     return made_of(problem, cost, cut.positions, cut.velocities, cut.rows, cut.velocities, corner, cut.bins)

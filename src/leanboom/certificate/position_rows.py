@@ -1,4 +1,4 @@
-"""Intervals of positions that rows of cells cover: where their edges lie, and what is enclosed over them.
+"""Intervals of positions that rows of cells cover: their edges, and enclosures of coefficients over them.
 
 Rows are narrower near the best known motion, narrowest where it is near an end of the feasible extensions. Which rows
 are chosen has no part in the proof of a bound.

@@ -71,11 +71,11 @@ class Goal:
 
     @property
     def enough(self) -> float:
-        """Energy of motions that need no closer look [J]."""
+        """Cut-off energy: cells of which all motions take more are dropped [J]."""
         return self.best.energy * (1.0 + ROUNDING - ENOUGH * self.gap / 100.0)
 
     def cells(self, times: tuple[int, int]) -> Cells:
-        """Cells of whole stages, as coarse as `partition.size` has it."""
+        """Cells of whole stages; arguments as in `partition.size`."""
         return partition.whole(self.problem, self.pump, self.best.motion, times)
 
     def check(self, found: Bounds, whole: bool) -> None:
@@ -111,14 +111,14 @@ class Course:
         return gap_between(self.goal.best.energy, self.lower)
 
     def clock(self, share: float = 0.0, *, name: str = "") -> None:
-        """The check of a pass over cells: end it when the time is over."""
+        """The check of a pass over cells: it raises OutOfTime when the time is over."""
         if self.budget.over:
             raise OutOfTime
         gap = f"gap so far {self.gap:.2f} %"
         self.tell(f"{name}, {gap}" if name else gap, min(0.99, 0.05 + 0.94 * self.budget.spent / self.budget.seconds))
 
     def begin(self, kept: Cells | None) -> Callable[[float], None]:
-        """Note what is under way; returns its clock."""
+        """Set the level under way; returns its check of time."""
         self.begun = self.budget.spent
         if kept is None:
             self.under_way = 0, 0
@@ -128,13 +128,13 @@ class Course:
         return partial(self.clock, name=f"cells {rows}x{columns}")
 
     def level(self, size: tuple[int, int], count: int, lower: float) -> Level:
-        """What a level of so many rows and columns, with so many cells in all, proves."""
+        """The `Level` of so many rows and columns, with so many cells in all."""
         self.rate = (self.budget.spent - self.begun) / max(count, 1)
         self.lower = max(self.lower, lower * (1.0 - ROUNDING))
         return Level(*size, count, self.lower, self.gap, self.budget.gone, self.budget.processor)
 
     def outlook(self, levels: Sequence[Level]) -> Outlook:
-        """What more time would bring, from how long a cell took and how the gap fell from level to level."""
+        """The expected gap and time of one more level, from the time a cell took and the fall of the gap."""
         last = levels[-1]
         size, count = self.under_way if self.under_way[1] else (4 * last.positions * last.velocities, 4 * last.cells)
         needed = max(self.begun + self.rate * count, (1.0 + LONGER) * self.budget.spent)
@@ -143,7 +143,7 @@ class Course:
 
 
 def levels(course: Course) -> Iterator[Level]:
-    """Levels of ever smaller cells until the gap or the time is reached, `course.reason` says which; at least one."""
+    """Levels of ever smaller cells, at least one, until the gap or the time is reached (`course.reason`)."""
     goal = course.goal
     course.tell("enclosing the crane's motion over cells", 0.05)
     found, level = coarse_level(course, partition.COARSE[0], hurry=False)
@@ -161,7 +161,7 @@ def levels(course: Course) -> Iterator[Level]:
 
 
 def coarse_level(course: Course, times: tuple[int, int], hurry: bool) -> tuple[Bounds, Level]:
-    """A level of coarse cells, finished whatever the clock says unless there is a hurry."""
+    """A level of coarse cells, finished whatever the time unless `hurry` is set."""
     goal, kept = course.goal, course.goal.cells(times)
     clock = course.begin(kept)
     found = lower_bounds.bound(kept, goal.start, clock if hurry else lambda share: None, coarse=True)
@@ -217,7 +217,7 @@ def _finer_levels(course: Course, found: Bounds) -> Iterator[Level]:
 def tightest(
     bound: Callable[[int], Bounds], expected: tuple[float, ...], energy: float, gap: float
 ) -> tuple[Bounds, tuple[float, ...]]:
-    """The highest bound by the slopes expected to leave least open, and by others where they may leave less.
+    """The highest bound by the slopes of least expected gap, and by the others where theirs may be less.
 
     Args:
         bound: Bounds the level with slopes of a kind; raises OutOfTime.
@@ -250,7 +250,7 @@ def tightest(
 def finest_in_time(
     needed: dict[tuple[int, int], tuple[int, float]], rate: float, seconds: float, memory: float
 ) -> tuple[int, int] | None:
-    """How coarse the finest whole level is that can be expected to end in time; None where none can.
+    """Coarseness of the finest whole level expected to end in time; None where none is.
 
     On a busy machine a minute is not like the one before: the finest level needs twice the time it should take.
 
@@ -281,7 +281,7 @@ def expected_gap(levels: Sequence[Level], size: int, empty: float) -> float | No
 
 
 def gap_between(energy: float, lower: float) -> float:
-    """How much less than `energy` a motion may take, in percent, where `lower` is proven."""
+    """Gap between an energy and a proven lower bound [%]."""
     return 100.0 * max(0.0, energy - lower) / energy if energy > 0.0 else 0.0
 
 

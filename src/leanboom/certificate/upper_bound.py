@@ -1,4 +1,4 @@
-"""The best known motion of a discretised problem: what a certificate compares its bound with.
+"""The best known motion of a discretised problem: the upper bound beside a certificate.
 
 The energy of a motion in the discretised problem is the sum over the stages of step x power at the stage's start, as
 the dynamic program adds it up. The planner's motion is the best by the judge, who integrates every 2 ms; tubes around
@@ -29,7 +29,7 @@ LEVELS, REPEATS = 8, 3  # tubes are halved, and repeated while they gain
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """A motion in the discretised problem."""
+    """A motion, its energies at the stages, and whether it keeps the limits there."""
 
     motion: Motion
     costs: np.ndarray  # energy of every stage [J], (stages,)
@@ -65,7 +65,7 @@ def measure(problem: Problem, candidate: Motion, pump: str) -> Measured:
 
 
 def improve(problem: Problem, seed: Measured, pump: str, free: bool) -> Measured:
-    """Look for a motion of less energy in ever narrower tubes around a motion.
+    """The motion of least energy found in ever narrower tubes around a motion.
 
     Args:
         problem: The discretised task.

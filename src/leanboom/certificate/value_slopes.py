@@ -207,7 +207,7 @@ def least_ahead(ahead, step, envelope, c, w, lo, hi):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def follow(stage, values, grid, k, envelope, active, row, column, slope):
-    """Slopes over a stage's cells of what follows after the stage.
+    """Slopes over a stage's cells of the least cost after the stage.
 
     Args:
         stage: A `cell_enclosures.Stage`.
@@ -238,7 +238,7 @@ def follow(stage, values, grid, k, envelope, active, row, column, slope):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def charge(stage, active, slope):
-    """Add the slopes of the stage's own cost over its cells to those of what follows.
+    """Add the slopes of the stage's own cost over its cells to those of the cost after it.
 
     The flow of a cylinder that turns round within the cell has a kink. Of its slopes there the one is taken with
     which a motion gains nothing by leaving the kink: slope_w + step / 2 slope_c = 0, as far as it has it.

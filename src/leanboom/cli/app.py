@@ -40,7 +40,7 @@ class _Guarded(TyperGroup):
 
 @contextmanager
 def _refusals() -> Iterator[None]:
-    """What must not go on ends as a message and an exit code."""
+    """Context in which refusals end as a message and an exit code."""
     try:
         yield
     except LeanboomError as error:
@@ -62,7 +62,7 @@ def _refusals() -> Iterator[None]:
 
 
 def _unwritten(file: str | None, reason: str) -> typer.Exit:
-    """What ends a command whose results cannot be written; said here."""
+    """The exit of a command whose results cannot be written, its message printed."""
     complain(f"{file or 'standard output'}: cannot be written: {reason}")
     with suppress(OSError, ValueError):  # of an output that is no file
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python would try again in the end
@@ -103,7 +103,7 @@ def _leanboom(
 
 
 class _Listing(TyperCommand):
-    """A command whose help lists what can be chosen by name, also what other packages bring."""
+    """A command whose help lists the names of a registry, also those of other packages."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         from leanboom.methods.registry import METHODS

@@ -1,4 +1,4 @@
-"""What printing to a terminal takes: the console, lines of text and tables that fit its width."""
+"""Printing to a terminal: the console, lines of text and tables that fit its width."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the commands print of machines and tasks for people; units in every heading."""
+"""Tables of machines and tasks; units in every heading."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def machine_facts(machine: Machine) -> dict[str, Any]:
 
 
 def _efficiency(pump: Pump) -> Any:
-    """The constant efficiency, or what became of a map."""
+    """The constant efficiency, or a map and its fit, as JSON."""
     if not isinstance(pump.efficiency, EfficiencyMap):
         return pump.efficiency
     met = pump_power.fit(pump.efficiency)
@@ -103,7 +103,7 @@ def task_facts(task: Task) -> dict[str, Any]:
 
 
 def machine_list(console: Console, machines: Sequence[Machine]) -> None:
-    """A line a machine.
+    """Print the machines, a line each.
 
     Args:
         console: Where to print.
@@ -120,7 +120,7 @@ def machine_list(console: Console, machines: Sequence[Machine]) -> None:
 
 
 def machine_detail(console: Console, machine: Machine) -> None:
-    """A machine's joints, cylinders, bodies and pump.
+    """Print a machine's joints, cylinders, bodies and pump.
 
     Args:
         console: Where to print.
@@ -164,7 +164,7 @@ def machine_detail(console: Console, machine: Machine) -> None:
 
 
 def task_list(console: Console, tasks: Sequence[Task]) -> None:
-    """A line a task.
+    """Print the tasks, a line each.
 
     Args:
         console: Where to print.
@@ -180,7 +180,7 @@ def task_list(console: Console, tasks: Sequence[Task]) -> None:
 
 
 def task_detail(console: Console, task: Task) -> None:
-    """A task's path, point by point.
+    """Print a task's path, point by point.
 
     Args:
         console: Where to print.
@@ -205,7 +205,7 @@ def task_detail(console: Console, task: Task) -> None:
 
 
 def checked(console: Console, found: facts.Checked, known: bool) -> None:
-    """What `check` says of a machine, or of a task and its machine; nothing of one that is wrong.
+    """Print the checks of a machine, or of a task and its machine; nothing for a file with problems.
 
     Args:
         console: Where to print.

@@ -1,4 +1,4 @@
-"""What `certify` prints for people: the bound of every level of cells, and the gap."""
+"""Tables of a certificate: the bound of every level of cells, and the gap."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def certificate(console: Console, proof: Certificate) -> None:
-    """What is proven of a task's energy, level by level.
+    """Print the proven bounds of a task's energy, level by level.
 
     Args:
         console: Where to print.
@@ -47,7 +47,7 @@ def certificate(console: Console, proof: Certificate) -> None:
 
 
 def _more_time(outlook: Outlook) -> str:
-    """What more time would bring, in words."""
+    """Sentence on the expected gap and time of one more level."""
     gap = outlook.gap_percent
     brings = "one more level; too few levels to expect a gap" if gap is None else f"a gap of about {gap:.2g} %"
     return f"--seconds {outlook.seconds:g}: {brings} (extrapolated, not proven)"

@@ -1,4 +1,4 @@
-"""What the commands that plan, simulate, compare and reproduce print for people; units in every heading."""
+"""Tables of plans, simulations, comparisons and reproductions; units in every heading."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WORDS = ("", "beyond the pump", "breaks a limit", "no result")  # what becomes o
 
 
 def plan(console: Console, result: Plan, out: Path | None, source: str) -> None:
-    """A plan beside its baseline.
+    """Print a plan beside its baseline.
 
     Args:
         console: Where to print.
@@ -76,12 +76,12 @@ def _energies(console: Console, result: Plan) -> None:
 
 
 def _named(result: Plan) -> str:
-    """The heading of a plan's energies; of one that is not solved nobody takes them for a result."""
+    """The heading of a plan's energies, with a warning where the plan is not solved."""
     return "plan\nkJ" if result.solved else "NOT SOLVED\nkJ"
 
 
 def _facts(result: Plan) -> list[tuple[str, str]]:
-    """What was found and how, labelled."""
+    """Labels and values of a plan's status, limits, method and times."""
     motion, judged = result.motion, result.evaluation
     memory = f", {result.peak_memory_bytes / 2**20:.0f} MiB at most"
     return [
@@ -104,7 +104,7 @@ def _use(judged: Evaluation) -> str:
 
 
 def simulation(console: Console, run: Simulation, out: Path | None) -> None:
-    """A simulated run beside its plan.
+    """Print a simulated run beside its plan.
 
     Args:
         console: Where to print.
@@ -144,7 +144,7 @@ def simulation(console: Console, run: Simulation, out: Path | None) -> None:
 
 
 def comparison(console: Console, result: Comparison, out: Path | None) -> None:
-    """The rows of a comparison, sorted, a table a start and pump.
+    """Print the rows of a comparison, sorted, a table a start and pump.
 
     Args:
         console: Where to print.
@@ -184,19 +184,19 @@ def _compared(row: Row, best: Row | None, simulated: bool) -> list[str]:
     """The cells of a comparison's row."""
     energy, least = row.energy, None if best is None else best.energy
     seconds = row.summary["solve_s"]
-    driven = "-" if row.simulated is None else f"{row.simulated / 1e3:.2f}"
+    closed_loop = "-" if row.simulated is None else f"{row.simulated / 1e3:.2f}"
     return [
         row.label,
         "-" if energy is None else f"{energy / 1e3:.2f}",
         f"{energy / least:.3f}" if row.solved and energy is not None and least else "-",
-        *([driven] if simulated else []),
+        *([closed_loop] if simulated else []),
         "-" if seconds is None else f"{seconds:.1f}",
         "best" if row is best else WORDS[row.rank[0]],
     ]
 
 
 def reproduction(console: Console, result: Reproduction, titles: dict[str, str]) -> None:
-    """Our values beside the printed ones, a table an experiment.
+    """Print our values beside the printed ones, a table an experiment.
 
     Args:
         console: Where to print.

@@ -1,4 +1,4 @@
-"""The commands that plan much at once: `compare` the methods on a task, `reproduce` the papers' experiments."""
+"""The commands that plan many tasks: `compare` the methods on a task, `reproduce` the papers' experiments."""
 
 from __future__ import annotations
 

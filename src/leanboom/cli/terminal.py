@@ -1,4 +1,4 @@
-"""What all commands share: options read, progress, messages and JSON written."""
+"""Shared parts of the commands: options, progress, messages and JSON."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ INTERVAL = 10.0  # [s], at least, between two lines about one beginning
 
 
 def bundled(*kinds: str) -> Callable[[str], list[str]]:
-    """What completes the beginning of a name, for the shell, out of the bundled names of some kinds.
+    """Shell completion of the bundled names of some kinds.
 
     Where none fits, the shell goes on with the names of files.
     """
@@ -120,7 +120,7 @@ def _say(text: str) -> None:
 
 
 class Terminated(KeyboardInterrupt):
-    """A process is asked to end, as by `timeout` or by a container that stops: the same as Ctrl-C."""
+    """Signal to end the process, as from `timeout` or a stopping container: treated as Ctrl-C."""
 
 
 def _terminate(*_: object) -> NoReturn:
@@ -128,7 +128,7 @@ def _terminate(*_: object) -> NoReturn:
 
 
 class Progress:
-    """What a command does at the moment, on standard error.
+    """Progress line of a command on standard error.
 
     A terminal gets a bar. Elsewhere a line now and then tells of a beginning that takes long, such as the first
     compilation, or each step has a line. Meanwhile Ctrl-C raises KeyboardInterrupt, and a request to
@@ -159,7 +159,7 @@ class Progress:
         return self
 
     def __call__(self, text: str, fraction: float) -> None:
-        """Show what happens and the share done."""
+        """Show the present activity and the share done."""
         if self._bar is not None:
             self._bar.update(self._task, description=text, completed=fraction)
             return
@@ -176,7 +176,7 @@ class Progress:
             self._quiet()
 
     def _go_on(self, over: Any) -> None:
-        """Say now and then what happens, until the beginning is over."""
+        """Repeat the activity every few seconds until the first share is reported."""
         wait = PATIENCE
         while not over.wait(wait):
             _say(self._beginning)

@@ -1,1 +1,1 @@
-"""Parts a crane is made of, and what is asked of it: linkages, valves, pump, friction, paths and costs."""
+"""Parts a crane is made of, and the costs of its motion: linkages, valves, pump, friction, paths and costs."""

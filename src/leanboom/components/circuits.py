@@ -1,4 +1,4 @@
-"""The hydraulics around the valves, as the closed-loop simulation knows them."""
+"""The hydraulics around the valves in the closed-loop simulation."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from leanboom.quantities.types import (
 
 @dataclass(frozen=True, slots=True)
 class Circuit:
-    """The hydraulics of the closed-loop simulation; what is not given is taken from the kind of valve."""
+    """The hydraulics of the closed-loop simulation; values not given are the defaults of the kind of valve."""
 
     # The defaults are those of a mobile valve; `valves.METERING` are those of independent metering.
     bulk_modulus: PositivePressure = 1e9  # B_eff of eqs. (18)-(19)

@@ -24,7 +24,7 @@ PUMPS = ("ls", "cp")  # load-sensing, constant-pressure
 
 
 class Supply(Enum):
-    """How the supply pressure of a cost's pump comes about."""
+    """Kinds of supply pressure in a cost."""
 
     NONE = "no pump"
     CONSTANT = "constant pressure"
@@ -54,7 +54,7 @@ def net(cylinder: Any, drive: Any) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """A cost: which terms its rate has.
+    """A cost: the terms of its rate, with its name and unit.
 
     Work and a load-sensing supply do not go together: over the acceleration, kernels follow the one or the other.
     """

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 Values = tuple[np.ndarray, np.ndarray, np.ndarray]  # tool position, velocity, acceleration, (samples, 3) each
 
-NEAR = 0.1  # [m], a path nearer to the slewing axis may turn the base within some samples
+AXIS_DISTANCE = 0.1  # [m], a path nearer to the slewing axis may turn the base within some samples
 
 
 def rising_from_zero(times: tuple[float, ...]) -> tuple[float, ...]:
@@ -69,7 +69,7 @@ class Lines:
 
     @property
     def degree(self) -> int:
-        """Of the polynomials in time."""
+        """Degree of the polynomials in time."""
         return 5
 
     def slower(self, factor: float) -> Lines:
@@ -113,7 +113,7 @@ class Spline:
 
     @property
     def degree(self) -> int:
-        """Of the polynomials in time."""
+        """Degree of the polynomials in time."""
         return 3
 
     def slower(self, factor: float) -> Spline:
@@ -128,7 +128,7 @@ class Spline:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A path between two of its times, on a clock of its own: what is left to do, or what is known of it."""
+    """A path between two of its times, its own time from 0: the rest of a task, or its known part."""
 
     path: Path
     since: Time
@@ -155,7 +155,7 @@ class Part:
 
     @property
     def degree(self) -> int:
-        """Of the polynomials in time."""
+        """Degree of the polynomials in time."""
         return self.path.degree
 
     def slower(self, factor: float) -> Part:
@@ -194,7 +194,7 @@ class Moved:
 
     @property
     def degree(self) -> int:
-        """Of the polynomials in time."""
+        """Degree of the polynomials in time."""
         return max(5, self.path.degree)
 
     def slower(self, factor: float) -> Moved:
@@ -212,7 +212,7 @@ class Moved:
 
 @dataclass(frozen=True, slots=True)
 class Braking:
-    """A path left early: from a time on the tool slows down evenly along it until it stands."""
+    """A path with a stop: from a time on the tool slows down evenly along it to rest."""
 
     path: Path
     since: Time
@@ -236,7 +236,7 @@ class Braking:
 
     @property
     def degree(self) -> int:
-        """Of the polynomials in time."""
+        """Degree of the polynomials in time."""
         return 2 * self.path.degree
 
     def slower(self, factor: float) -> Braking:
@@ -260,7 +260,7 @@ def approaches(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """When a path is nearest to the slewing axis.
 
     The squared distance is a polynomial on every piece, so nothing falls between samples. Pieces that stay farther
-    away than `NEAR` are left out.
+    away than `AXIS_DISTANCE` are left out.
 
     Args:
         path: The path.
@@ -276,7 +276,7 @@ def approaches(path: Path) -> tuple[np.ndarray, np.ndarray]:
     series = np.einsum("nk,pni->pki", chebyshev.chebvander(nodes, path.degree), point) * (2.0 / nodes.size)
     series[:, 0] *= 0.5
     size = np.linalg.norm(series, axis=2)
-    near = np.nonzero(size[:, 0] - size[:, 1:].sum(axis=1) <= NEAR)[0]
+    near = np.nonzero(size[:, 0] - size[:, 1:].sum(axis=1) <= AXIS_DISTANCE)[0]
     times, distances = [np.empty(0)], [np.empty(0)]
     for piece in near:
         x, y = series[piece].T
@@ -316,7 +316,7 @@ def _within(times: np.ndarray, duration: float) -> np.ndarray:
 
 
 def _hold(made: Part | Moved | Braking) -> None:
-    """Check a path made of another."""
+    """Check the fields of a path made of another and keep them as floats."""
     if not isinstance(made.path, Path):
         raise InputError(f"path.path = {ranges.shown(made.path)}; must be a path")
     hold_declared(made, "path")

@@ -1,9 +1,9 @@
-"""Valves: what the steady state of a cylinder takes from its valve and connection.
+"""Valves: flow areas and steady-state pressure lines of a cylinder, by its valve and connection.
 
 A valve is a frozen dataclass of its quantities with the steady state of a cylinder on it, and for the simulation its
 edges. Its line in `VALVES` gives it its name in machine files, which are read, written and described by its fields.
 
-For every valve the driven chamber's pressure is affine in the force: extending p_A = gain_out F + back_out, retracting
+For every valve the working chamber's pressure is affine in the force: extending p_A = gain_out F + back_out, retracting
 p_B = -gain_in F + back_in. `Drive` holds these four numbers and the two flow areas of a cylinder.
 """
 
@@ -65,7 +65,7 @@ class Valve(ABC):
         """Flow areas and pressure lines of a cylinder on this valve."""
 
     def edges(self, cylinder: Cylinder, circuit: Circuit) -> Edges:
-        """Its edges in the simulation, sized so that they settle on the steady states of `steady`."""
+        """The valve's `Edges` in the simulation, sized so that they settle on the steady states of `steady`."""
         raise InputError(f"valve = {type(self).__name__}; has no `edges`, by which the simulation knows a valve")
 
     def resting(self, pump: Pump, circuit: Circuit) -> float:
@@ -95,7 +95,7 @@ class MobileValve(Valve):
         differential = 0.0
         if cylinder.connection is Connection.DIFFERENTIAL:
             differential = (self.regenerative_ratio**2 * b * b * a / rod**3 + a / rod) * self.compensator_drop
-        return driven(cylinder, pump, back_rod, back_piston, differential)
+        return drive_of(cylinder, pump, back_rod, back_piston, differential)
 
     def edges(self, cylinder: Cylinder, circuit: Circuit) -> Edges:
         """Throttles to the tank whose back pressures are those of eqs. (23)-(24)."""
@@ -132,7 +132,7 @@ class IndependentMetering(Valve):
 
     def steady(self, cylinder: Cylinder, pump: Pump) -> Drive:
         """Flow areas and pressure lines of eqs. (34)-(35): a chosen pressure in the chamber that empties."""
-        return driven(cylinder, pump, self.back_pressure, self.back_pressure, 0.0)
+        return drive_of(cylinder, pump, self.back_pressure, self.back_pressure, 0.0)
 
     def edges(self, cylinder: Cylinder, circuit: Circuit) -> Edges:
         """Compensated edges on both sides."""
@@ -144,7 +144,7 @@ class IndependentMetering(Valve):
         return self.offside_pressure
 
 
-def driven(cylinder: Cylinder, pump: Pump, back_rod: float, back_piston: float, differential: float) -> Drive:
+def drive_of(cylinder: Cylinder, pump: Pump, back_rod: float, back_piston: float, differential: float) -> Drive:
     """The drive of a cylinder, by its connection, on a valve that leaves given pressures in the chamber that empties.
 
     Args:
@@ -157,7 +157,7 @@ def driven(cylinder: Cylinder, pump: Pump, back_rod: float, back_piston: float, 
     a, b = cylinder.piston_area, cylinder.rod_side_area
     gain_in, back_in = 1.0 / b, a / b * back_piston  # eq. (24) retracting; eqs. (34)-(35)
     if cylinder.connection is Connection.SINGLE_ACTING:
-        # Rod side drained to the tank: no pump flow and no driven pressure retracting.
+        # Rod side drained to the tank: no pump flow and no demanded pressure retracting.
         return Drive(a, 0.0, 1.0 / a, b / a * pump.tank_pressure, 0.0, 0.0)
     if cylinder.connection is Connection.DIFFERENTIAL:
         rod = a - b

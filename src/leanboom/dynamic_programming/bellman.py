@@ -78,8 +78,8 @@ enable_in_kernels()
 # and velocities, cost of being outside the nodes.
 VALUE, CONTROL, OFFSET, RATE, SLOPE, PIECEWISE, LOW, HIGH, COST_TO_GO, FLOW, FRAC_C, FRAC_W, OUT_OF_GRID = range(13)
 STATE_ROWS = 13
-# Rows of `Row.line`: load along the motion at u = 0 (positive: driven against it) [N], or its power [W], and its change
-# with u; the pressure it asks for at u = 0 [Pa], and its change with u.
+# Rows of `Row.line`: load along the motion at u = 0 (positive: against the motion) [N], or its power [W], and its
+# change with u; the pressure it asks for at u = 0 [Pa], and its change with u.
 LOAD, GAIN, P0, P1 = range(4)
 LINE_ROWS = 4
 
@@ -117,7 +117,7 @@ class Row(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def empty_row(states, cylinders, ahead):
-    """Room for a row of `states`, of moving `cylinders`, in front of a layer with `ahead` velocities."""
+    """An uninitialised `Row` of `states`, of moving `cylinders`, in front of a layer with `ahead` velocities."""
     return Row(
         np.empty((STATE_ROWS, states + ahead)),
         np.empty((cylinders, LINE_ROWS, states)),
@@ -255,12 +255,12 @@ def load_lines(node, w, cylinder, setting, lowest, row):
         for j in range(w.size):
             v = a0 + a1 * w[j]
             force = load[j] + f0 + w[j] * (f1 + w[j] * f2)
-            out, driven = v > 0.0, abs(v) > epsilon
+            out, metering = v > 0.0, abs(v) > epsilon
             along = 1.0 if out else -1.0
-            at_rest = gain_out * force + back_out if out else back_in - gain_in * force
+            working = gain_out * force + back_out if out else back_in - gain_in * force
             change = gain_out * f3 if out else -gain_in * f3
-            load[j], gain[j] = along * force if driven else -1.0, along * f3 if driven else 0.0
-            p0[j], p1[j] = at_rest if driven else lowest, change if driven else 0.0
+            load[j], gain[j] = along * force if metering else -1.0, along * f3 if metering else 0.0
+            p0[j], p1[j] = working if metering else lowest, change if metering else 0.0
 
 
 @njit(cache=True, error_model="numpy")

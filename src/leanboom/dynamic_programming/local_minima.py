@@ -67,7 +67,7 @@ class Through:
 
 
 def _from(policy: Policy, stage: int, position: float, velocity: float) -> tuple[float, np.ndarray]:
-    """Where a policy ends from a state [m], and its velocities from there on [m/s]."""
+    """Final position of a policy from a state [m], and its velocities from there on [m/s]."""
     table, n = policy.tables, policy.problem.stages
     c, w, u = np.empty(n + 1), np.empty(n + 1), np.empty(n)
     sweeps.rollout(
@@ -90,7 +90,7 @@ def backward_in_time(table: Tables) -> Tables:
 
 
 def through(policy: Policy, start: float | None) -> Through:
-    """Sweep the task of a policy backward in time as well.
+    """The `Through` of a policy: its task is swept backward in time as well.
 
     Args:
         policy: Values of all nodes, the path ending at rest.
@@ -111,7 +111,7 @@ def through(policy: Policy, start: float | None) -> Through:
 
 
 def local_minima(found: Through, share: float, most: int) -> list[Motion]:
-    """Motions that are the best ones around them: the best of all first, then others, best first.
+    """Motions of locally least cost, the best first.
 
     Where the least cost is flat, the grid's errors are larger than the differences between motions far apart. There
     motions follow that are far from all others, the farthest first.

@@ -15,7 +15,7 @@ from leanboom.problem.layout import C_LO, COEFFICIENTS, DC, DW, STEP, W_LO
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def sweep_stage(k, first, last, coefficients, outside, stage, cylinder, setting, ahead, here, values):
-    """One stage of the backward pass, for positions `first` to `last` - 1.
+    """Values of one stage by the backward pass, for positions `first` to `last` - 1.
 
     Args:
         k: The stage.
@@ -43,7 +43,7 @@ def sweep_stage(k, first, last, coefficients, outside, stage, cylinder, setting,
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def sweep(coefficients, outside, stage, cylinder, setting, terminal, values):
-    """Backward pass over all stages by one thread; arguments as in `sweep_stage`.
+    """Values of all stages by one thread; arguments as in `sweep_stage`.
 
     Args:
         coefficients, outside, stage, cylinder, setting: The problem.
@@ -61,7 +61,7 @@ def sweep(coefficients, outside, stage, cylinder, setting, terminal, values):
 
 @njit(cache=True, error_model="numpy")
 def rollout(coefficients, outside, stage, cylinder, setting, values, start, first, position, velocity, control):
-    """Forward pass by one-step look-ahead from an actual state at stage `first`.
+    """Motion by one-step look-ahead from an actual state at stage `first`.
 
     At the actual position the node tables are interpolated linearly; the control minimises exact stage cost
     plus interpolated value, so stored controls are never interpolated across a switch.

@@ -92,7 +92,7 @@ class Policy:
         )  # fmt: skip
 
     def replan(self, time: float, position: float, velocity: float) -> Continuation:
-        """What is left of the task from any state on the way: the policy's motion from there, judged.
+        """The policy's motion from any state on the way to the end of the task, judged.
 
         Args:
             time: Time on the path [s], from 0 to before its end.
@@ -216,7 +216,7 @@ def sizes(grid: object, step: object, stage: ranges.Range, problems: list[str]) 
 
 
 def solve(problem: Problem, grid: Grid, cost: str, terminal: Terminal | None = None) -> Policy:
-    """Sweep backward over a grid.
+    """The `Policy` of a problem and a cost, by a backward sweep over a grid.
 
     Args:
         problem: The discretised task.

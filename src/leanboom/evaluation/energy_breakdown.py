@@ -1,10 +1,10 @@
-r"""Where the energy of a pump goes: into work of the cylinders, valves, the load-sensing margin, and the pump itself.
+r"""Breakdown of a pump's energy: into work of the cylinders, valves, the load-sensing margin, and the pump itself.
 
 Pump power is P = p Q / eta + losses with supply p and flow Q = sum Q_i. The hydraulic power p Q_i of a cylinder whose
 pressure p_i counts is its work F v, what the rest of p_i Q_i pays for (the oil pushed out of its other chamber, and the
 drop of its own valve), the margin dp Q_i, and (p - dp - p_i) Q_i, which is throttled because another cylinder, or a
-constant pressure, sets the supply. A cylinder that its load moves, or that is slower than the driven velocity, needs
-no pressure: all of (p - dp) Q_i is throttled. dp is 0 with constant pressure. The parts sum to P at every sample.
+constant pressure, sets the supply. A cylinder that its load moves, or that is no faster than the threshold of eq. (41),
+needs no pressure: all of (p - dp) Q_i is throttled. dp is 0 with constant pressure. The parts sum to P at every sample.
 
 What loads give back while they move a cylinder is throttled as well. It never came from the pump along this path, so it
 is no part of the sum.
@@ -22,9 +22,9 @@ from leanboom.evaluation.evaluate import Evaluation
 
 @dataclass(frozen=True, slots=True)
 class Breakdown:
-    """The energy of a pump by where it goes [J]."""
+    """The parts of a pump's energy [J]."""
 
-    work: float  # of cylinders driven against their load, friction of cylinders among it
+    work: float  # of cylinders moving against their load, friction of cylinders among it
     back_pressure: float  # oil pushed out of their other chambers, and the drop of their own valves
     throttled: float  # in their valves, since the supply is higher than what they need
     lowered: float  # in valves of cylinders that their loads move, or that move too slowly to count
@@ -38,7 +38,7 @@ class Breakdown:
 
 
 def breakdown(evaluation: Evaluation, pump: str) -> Breakdown:
-    """Where the energy of a motion goes.
+    """The `Breakdown` of a motion's energy.
 
     Args:
         evaluation: The judged motion.

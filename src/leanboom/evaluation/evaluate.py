@@ -28,7 +28,7 @@ __all__ = ["PATH_TOLERANCE", "SAMPLE", "TOLERANCE", "Evaluation", "LimitUse", "e
 
 SAMPLE = 0.002  # [s], the papers' recording rate
 # Memory a sample takes [bytes]: while a motion is measured, plain and a joint; in an evaluation, a joint.
-MEASURING, KEPT = (300, 250), 105
+MEASURING, STORED = (300, 250), 105
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +103,7 @@ class Evaluation:
 
     @property
     def status(self) -> Outcome:
-        """`solved`, or what is wrong as a sentence; of the pump that `deliverable` looks at."""
+        """`solved`, or the violated limit or the shortfall of the pump of `deliverable`, as a sentence."""
         return self.status_with(self._pump)
 
     def status_with(self, pump: str) -> Outcome:
@@ -135,7 +135,7 @@ class Evaluation:
 
 
 def evaluate(task: Task, motion: Motion) -> Evaluation:
-    """Measure a motion.
+    """The `Evaluation` of a motion.
 
     Args:
         task: The task the motion belongs to.
@@ -242,7 +242,7 @@ def check_measurable(task: Task, kept: int = 0) -> None:
     """
     cranes.check_axis(task)
     samples, joints = _samples(task), len(task.machine.joints)
-    each = MEASURING[0] + MEASURING[1] * joints + kept * KEPT * joints
+    each = MEASURING[0] + MEASURING[1] * joints + kept * STORED * joints
     what = f"measuring task {task.name} at {samples} samples, 2 ms apart over {task.duration:g} s,"
     resources.check_memory(samples * each, what, "split the task into shorter ones")
 
@@ -253,7 +253,7 @@ def _samples(task: Task) -> int:
 
 
 def judged_cost(evaluation: Evaluation, cost: str) -> float:
-    """What a motion costs by the judge, for any name of `costs.COSTS`, in the cost's unit."""
+    """Judged cost of a motion, for any name of `costs.COSTS`, in the cost's unit."""
     if cost in PUMPS:
         return evaluation.energy(cost)
     columns = tuple(evaluation.velocity.T), tuple(evaluation.force.T)

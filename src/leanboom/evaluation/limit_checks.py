@@ -1,4 +1,4 @@
-"""Limits of a motion: when it is looked at, how much of them it uses, and sentences on what is beyond them.
+"""Limits of a motion: times of checks, use of each limit, and sentences on violations.
 
 The judge's samples are 2 ms apart. Whatever is shorter has times of its own here: every segment of the path, every
 stage of the motion and every approach to the slewing axis, with values from just inside both of its ends.
@@ -45,7 +45,7 @@ Rows = tuple[np.ndarray, ...]  # one array a joint, in joint order, (times,) eac
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Course:
-    """A motion of the whole crane at the times it is looked at."""
+    """A motion of the whole crane at the checked times."""
 
     time: np.ndarray  # [s], (times,)
     error: np.ndarray  # distance of the tool from its path [m], (times,)
@@ -57,7 +57,7 @@ class Course:
 
 
 def times(path: Path, samples: np.ndarray, motion: Motion | None = None) -> np.ndarray:
-    """When to look at a motion [s]: at equal samples and wherever something is shorter than some of these.
+    """Times at which a motion is checked [s]: equal samples, and more in whatever is shorter than some of these.
 
     Args:
         path: The path of the tool.
@@ -92,7 +92,7 @@ def used(machine: Machine, course: Course) -> tuple[Rows, Rows, Rows]:
 
 
 def largest(use: tuple[Rows, Rows, Rows]) -> LimitUse:
-    """The largest of what `used` says."""
+    """The largest `LimitUse` of some courses."""
     return LimitUse(*(float(max(row.max() for row in rows)) for rows in use))
 
 
@@ -131,7 +131,7 @@ def violations(machine: Machine, motion: Motion, course: Course, use: tuple[Rows
 
 
 def _off_path(motion: Motion, course: Course) -> tuple[str, ...]:
-    """Where the tool is farthest off its path, and whether that is because the arm must stay bent; or nothing."""
+    """Sentence on the largest path error, and whether the elbow margin causes it; empty where there is none."""
     i = int(course.error.argmax())
     if course.error[i] <= PATH_TOLERANCE:
         return ()

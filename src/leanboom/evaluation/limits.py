@@ -1,4 +1,4 @@
-"""How much of each limit a motion uses, and which cylinders stand at an end of their stroke."""
+"""Use of each limit by a motion, and cylinders at an end of their stroke."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which of two judged motions is better."""
+"""Order of judged motions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a motion asks of the pump beyond its data sheet, and what load-sensing energy leaves out, as sentences.
+"""Sentences on shortfalls of the pump, and on work that load-sensing energy leaves out.
 
 None of it is a limit of the planning problem, which knows cylinders and joints alone. The judge adds these remarks to
 what it measures.
@@ -19,7 +19,7 @@ LEFT_OUT = 0.5  # uncounted work above this share of the load-sensing energy is 
 
 @dataclass(frozen=True, slots=True)
 class Shortfall:
-    """What a motion needs of the pump above what the pump gives."""
+    """Flow or pressure that a motion needs beyond the pump's largest."""
 
     what: str  # is needed: "pump flow", ...
     most: str  # largest need and its time
@@ -33,7 +33,7 @@ class Shortfall:
 def shortfalls(
     pump: Pump, kind: str, time: np.ndarray, flow: np.ndarray, supply_ls: np.ndarray, pressure: np.ndarray
 ) -> tuple[Shortfall, ...]:
-    """What a pump cannot deliver: flow; supply pressure if it is load-sensing, load pressure if constant-pressure.
+    """The shortfalls of a pump: flow; supply pressure if it is load-sensing, load pressure if constant-pressure.
 
     Args:
         pump: The pump.
@@ -82,9 +82,9 @@ def undeliverable(found: tuple[Shortfall, ...]) -> str:
 def uncounted_work(
     machine: Machine, time: np.ndarray, velocity: np.ndarray, force: np.ndarray, energy_ls: float, energy_cp: float
 ) -> str:
-    """A sentence where load-sensing energy leaves out most of the work; empty elsewhere.
+    """Sentence where load-sensing energy leaves out most of the work; empty elsewhere.
 
-    Loads of cylinders no faster than the machine's driven velocity do not count. A motion that moves its loads so
+    Loads of cylinders no faster than the machine's threshold do not count. A motion that moves its loads so
     slowly seems to take hardly any energy, which is a property of eq. (41) and not of a real pump.
 
     Args:

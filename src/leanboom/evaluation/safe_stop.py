@@ -54,7 +54,7 @@ class Continuation:
 
 
 def rest(task: Task, since: float) -> Task:
-    """The task that is left after a time [s], on a clock of its own."""
+    """The rest of a task after a time [s], its own time from 0."""
     return replace(task, path=Part(task.path, since, task.duration), start="middle", smooth=None)
 
 

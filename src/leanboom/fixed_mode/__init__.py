@@ -1,1 +1,1 @@
-"""Fixed-mode nonlinear program: directions and load signs held, solved by an interior-point method."""
+"""Fixed-mode nonlinear program: directions and load signs fixed, solved by an interior-point method."""

@@ -43,7 +43,7 @@ C, W, U, P, S = range(5)  # an end's variables; flows are the last ones
 
 
 class Limits(NamedTuple):
-    """One number for every limit: value, slack, multiplier, or a step of one of them."""
+    """Values, slacks or multipliers of all limits, or a step of one of them."""
 
     node: np.ndarray  # position and velocities from below and above, (stages + 1, 2 + 2 cylinders)
     end: np.ndarray  # accelerations from below and above, loads, least pressure, flows, (stages, 2, 1 + 5 cylinders)
@@ -70,13 +70,13 @@ def limits(every, stages, cylinders):
 
 @njit(cache=True, error_model="numpy")
 def empty_limits(stages, cylinders):
-    """Room for one number for every limit."""
+    """Uninitialised `Limits`."""
     return limits(np.zeros((stages + 1) * (2 + 2 * cylinders) + stages * 2 * (1 + 5 * cylinders)), stages, cylinders)
 
 
 @njit(cache=True, error_model="numpy")
 def empty_point(stages, cylinders):
-    """Room for a point or a step."""
+    """An uninitialised `Point`, for a point or a step."""
     a, b = 2 * (stages + 1), 2 * (stages + 1) + stages
     every = np.zeros(b + 2 * stages * (1 + cylinders))
     local = every[b:].reshape((stages, 2, 1 + cylinders))

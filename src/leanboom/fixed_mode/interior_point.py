@@ -41,12 +41,12 @@ from leanboom.problem.layout import COEFFICIENTS
 BOUNDARY = 0.995  # share of the way to the nearest limit that a step may go
 SMALLEST_SLACK = 1e-4  # of the first guess
 BARRIER_FACTOR, SOLVED = 0.1, 10.0  # the barrier falls once errors are below this many times it
-KEPT, ACCEPTABLE = 1e-5, 1e-4  # sum of all limits' errors: of an answer; of one from which no better was found
+OPTIMAL, ACCEPTABLE = 1e-5, 1e-4  # sum of all limits' errors: of an answer; of one from which no better was found
 FIRST_PENALTY, SUFFICIENT, NOISE = 1e-3, 1e-4, 1e-10  # of errors; share of a promised fall; the merit's rounding
 HALVINGS = 12
 FIRST_SHIFT, LARGEST_SHIFT, GROWTH = 1e-6, 1e6, 10.0
 LARGEST_PENALTY = 1e4
-REACH = 1e8  # multipliers stay within this factor of barrier / slack
+MULTIPLIER_RANGE = 1e8  # multipliers stay within this factor of barrier / slack
 
 
 class Eliminated(NamedTuple):
@@ -63,7 +63,7 @@ class Eliminated(NamedTuple):
 
 
 class Place(NamedTuple):
-    """A point with what is known there."""
+    """A point, its coefficients, values of the limits, and slacks."""
 
     point: Point
     jet: np.ndarray  # coefficients, see `derivatives.jets`
@@ -72,7 +72,7 @@ class Place(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Room to work in."""
+    """Scratch arrays of the method."""
 
     moved: np.ndarray  # (cylinders, 3, DERIVATIVES)
     bends: np.ndarray  # (cylinders, 3)
@@ -220,7 +220,7 @@ def newton(program, place, value, multiplier, barrier, shift, work, step, slack_
 
 @njit(cache=True, error_model="numpy")
 def furthest(value, step, counts):
-    """The largest share of a step that keeps positive numbers positive, with some room."""
+    """The largest share of a step that keeps positive numbers positive, with a margin."""
     share = 1.0
     for j in range(value.size):
         if counts[j] and step[j] < 0.0:
@@ -247,7 +247,7 @@ def survey(value, slack, multiplier, slack_step, counts, barrier):
 
 @njit(cache=True, error_model="numpy")
 def go(program, start, slack, step, slack_step, share, barrier, penalty, moved, end):
-    """Go a share of a step; returns the cost and the merit there."""
+    """The place after a share of a step; returns the cost and the merit there."""
     for j in range(start.every.size):
         end.point.every[j] = start.every[j] + share * step.every[j]
     jets(program, end.point.state[:, C], end.jet)
@@ -264,16 +264,16 @@ def go(program, start, slack, step, slack_step, share, barrier, penalty, moved, 
 
 @njit(cache=True, error_model="numpy")
 def settle(multiplier, step, share, slack, counts, barrier):
-    """Step the multipliers, but keep them within reach of the barrier over the slack."""
+    """Step the multipliers, but keep each within a factor of the barrier over its slack."""
     for j in range(slack.size):
         if counts[j]:
             near = barrier / slack[j]
-            multiplier[j] = min(max(multiplier[j] + share * step[j], near / REACH), near * REACH)
+            multiplier[j] = min(max(multiplier[j] + share * step[j], near / MULTIPLIER_RANGE), near * MULTIPLIER_RANGE)
 
 
 @njit(cache=True, error_model="numpy")
 def empty_place(stages, cylinders):
-    """Room for a place."""
+    """An uninitialised `Place`."""
     return Place(
         empty_point(stages, cylinders), np.empty((stages + 1, cylinders, 3, COEFFICIENTS)),
         empty_limits(stages, cylinders), empty_limits(stages, cylinders),
@@ -282,7 +282,7 @@ def empty_place(stages, cylinders):
 
 @njit(cache=True, error_model="numpy")
 def empty_work(stages, cylinders):
-    """Room to work in."""
+    """Scratch arrays of the method."""
     n = 1 + cylinders
     out = Eliminated(
         np.empty((stages, 2, n, 3 + n)), np.empty((stages, 2, n)), np.empty((stages, 2)), np.empty(stages),
@@ -336,7 +336,7 @@ def minimise(program, guess, barrier, last_barrier, iterations):
         if penalty > LARGEST_PENALTY:
             return here.point, False, iteration  # limits that contradict each other nearby
         merit, promise = cost - barrier * logarithms + penalty * broken, slope - penalty * broken
-        if broken <= max(SOLVED * barrier, KEPT) and off <= SOLVED * barrier and -promise <= SOLVED * barrier:
+        if broken <= max(SOLVED * barrier, OPTIMAL) and off <= SOLVED * barrier and -promise <= SOLVED * barrier:
             if barrier <= last_barrier:
                 return here.point, True, iteration
             barrier = max(last_barrier, BARRIER_FACTOR * barrier)

@@ -1,4 +1,4 @@
-"""Fixed-mode nonlinear program: each cylinder's direction and load sign are held fixed, so maxima become constraints.
+"""Fixed-mode nonlinear program: each cylinder's direction and load sign are fixed, so maxima become constraints.
 
 The dynamic program decides globally which cylinders extend, retract or rest at every stage, and which support
 their load. With these modes fixed, a cylinder's flow is a variable s >= A v, s >= -B v, and so is the supply, p >=
@@ -90,7 +90,7 @@ def _last(problem: Problem) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Modes:
-    """The switches: direction of every moving cylinder at every node, and whether it carries load."""
+    """Modes: direction of every moving cylinder at every node, and whether it carries load."""
 
     sign: np.ndarray  # -1 retracts, 0 at rest, 1 extends, (stages + 1, moving)
     loaded: np.ndarray  # at the beginning and end of every interval, (2, stages, moving)
@@ -101,7 +101,7 @@ class Modes:
 
 
 def modes(polisher: Polisher, seed: Motion) -> Modes:
-    """Read the modes off a motion on the problem's stages."""
+    """The modes of a motion on the problem's stages."""
     problem = polisher.problem
     with np.errstate(all="ignore"):  # a seed out of reach has no numbers there, and no modes
         rates = _speeds(problem, seed)
@@ -170,7 +170,7 @@ def solve(
 def _program(
     polisher: Polisher, seed: Motion, switches: Modes, mode: np.ndarray, free_start: bool, share: tuple[float, float]
 ) -> derivatives.Program:
-    """The interior-point problem; modes bound speeds, limits that cannot change are left out."""
+    """The `Program` for given modes, which bound speeds; limits that cannot change are left out."""
     problem = polisher.problem
     machine = problem.crane.machine
     cylinders = machine.cylinders[problem.moving]
@@ -178,14 +178,14 @@ def _program(
     v = _speeds(problem, seed)
     low, high = np.empty((nodes, 1 + n)), np.empty((nodes, 1 + n))
     low[:, 0], high[:, 0] = problem.lower, problem.upper
-    held = threshold(problem) if polisher.pressures else 0.0
+    epsilon = threshold(problem) if polisher.pressures else 0.0
     for i, cylinder in enumerate(cylinders):
         high[:, 1 + i] = share[0] * cylinder.velocity_limit
         low[:, 1 + i] = -high[:, 1 + i]
         if polisher.loads:
-            # A seed that rides closer to the threshold keeps its place: two held cylinders may leave no other.
+            # A seed that rides closer to the threshold keeps its place: two cylinders at rest may leave no other.
             sign = switches.sign[:, i]
-            edge = np.maximum(np.where(sign == 0, np.maximum(held, np.abs(v[:, i])), held), LEAST_ROOM)
+            edge = np.maximum(np.where(sign == 0, np.maximum(epsilon, np.abs(v[:, i])), epsilon), LEAST_ROOM)
             low[:, 1 + i] = np.where(sign >= 0, -edge, low[:, 1 + i])
             high[:, 1 + i] = np.where(sign <= 0, edge, high[:, 1 + i])
     some = derivatives.empty_limits(problem.stages, n).every
@@ -244,7 +244,7 @@ def _mode_parameters(polisher: Polisher, switches: Modes) -> np.ndarray:
             s = sign[:, i]
             carries, overruns = loaded[:, i] & (s != 0), ~loaded[:, i] & (s != 0)
             if polisher.pressures:
-                # p >= gain F + back while loaded; the load's sign kept while overrunning; nothing while held.
+                # p >= gain F + back while loaded; the load's sign kept while overrunning; nothing at rest.
                 gain = np.where(s > 0, d.gain_out, -d.gain_in) * MEGA
                 back = np.where(s > 0, d.back_out, d.back_in) * MEGA
                 carries = carries & (gain != 0.0)

@@ -1,4 +1,4 @@
-"""Oil in motion: chambers that compress, edges that throttle. Eqs. (18)-(19), (21)-(22) and (25)-(26), 4-DOF paper.
+"""Compressible chambers and throttling edges. Eqs. (18)-(19), (21)-(22) and (25)-(26), 4-DOF paper.
 
 | symbol | name | unit |
 | --- | --- | --- |
@@ -64,7 +64,7 @@ def opening(travel, dead_zone):
 
 @formula
 def gate(share):
-    """How far an edge's opening connects the load-sensing line: 0 closed, 1 from a hundredth on."""
+    """Share to which an edge's opening connects the load-sensing line: 0 closed, 1 from a hundredth on."""
     return np.minimum(100.0 * share, 1.0)
 
 

@@ -1,4 +1,4 @@
-"""The decorator every physical formula carries.
+"""The decorator of physical formulas.
 
 A formula is a plain function of numbers written with NumPy ufuncs only. The same function then runs on
 arrays, inside compiled kernels (numba) and on CasADi symbols. Numba is only told about the function if

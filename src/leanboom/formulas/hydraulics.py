@@ -4,10 +4,10 @@
 | --- | --- | --- |
 | v, F | cylinder velocity, cylinder force | m/s, N |
 | A, B | piston-side and rod-side area | m^2 |
-| p | chamber pressure on the driven side | Pa |
+| p | pressure of the working chamber | Pa |
 | Q | pump flow of a cylinder | m^3/s |
 
-For every valve type the driven chamber's pressure is affine in the force: extending p_A = gain_out F + back_out,
+For every valve type the working chamber's pressure is affine in the force: extending p_A = gain_out F + back_out,
 retracting p_B = -gain_in F + back_in.
 """
 
@@ -27,7 +27,7 @@ def cylinder_flow(v, area_out, area_in):
 
 @formula
 def pressure_demand(v, F, epsilon, gain_out, back_out, gain_in, back_in):
-    """Pressure a cylinder asks of a load-sensing pump [Pa]: zero unless driven against its load. Eq. (41)."""
+    """Demanded pressure [Pa]: zero unless a cylinder moves against its load above epsilon. Eq. (41)."""
     out = (gain_out * F + back_out) * heaviside(v - epsilon)
     back = (back_in - gain_in * F) * heaviside(-v - epsilon)
     return (out + back) * heaviside(F * v)

@@ -1,4 +1,4 @@
-"""What the values of a file must agree on: linkages that close over their joint's range, strokes, counts, kinds.
+"""Checks between the values of a file: linkages that close over their joint's range, strokes, counts, kinds.
 
 Every check looks at the sections that are right in themselves, so that one bad value does not hide another.
 """
@@ -32,7 +32,7 @@ SIZES = "must be given as bore and rod, as plunger (and racks), or as piston_are
 
 
 def size(keys: Any) -> dict[str, float]:
-    """What a cylinder's section says of its size."""
+    """The keys of a cylinder's section that give its size."""
     return {name: value for name in SIZE_KEYS if (value := getattr(keys, name)) is not None}
 
 
@@ -54,7 +54,7 @@ def stroke(shape: Linkage, lower: float, upper: float) -> float:
 
 
 def check_machine(source: Source) -> None:
-    """Note what does not fit together in a machine file."""
+    """Note the contradictions in a machine file."""
     data = source.data
     if not isinstance(data, dict):
         return
@@ -125,7 +125,7 @@ def _check_slewing(source: Source, data: dict[str, Data]) -> None:
 
 
 def _check_size(source: Source, key: Key, keys: Any) -> bool:
-    """Note what is wrong with a cylinder's areas; whether they are right."""
+    """Whether a cylinder's areas are right; problems are noted."""
     found = areas(size(keys))
     if found is None:
         given = [f"{name} = {source.value((*key, name))}" for name in size(keys)]
@@ -208,7 +208,7 @@ def _check_linkage(source: Source, key: Key, keys: Any, joint: tuple[float, floa
 
 
 def check_task(source: Source, machine: Machine | None) -> None:
-    """Note what does not fit together in a task file, or in the task and its machine."""
+    """Note the contradictions in a task file, or between the task and its machine."""
     data = source.data if isinstance(source.data, dict) else {}
     if machine is None:
         return

@@ -64,7 +64,7 @@ def task_text(task: Task, machine: str) -> str:
 
 
 def _text(section: Section, data: dict[str, Any], what: str, origin: dict[str, Provenance]) -> str:
-    """The text of a file. Values made in Python are held to the same rules as a file's."""
+    """The text of a file. Values made in Python must keep the same rules as a file's."""
     try:
         made = section.load(data)
     except ValidationError as error:
@@ -91,7 +91,7 @@ def _cylinder(cylinder: Cylinder, joint: Joint, origin: dict[str, Provenance]) -
 
 
 def _circuit(machine: Machine, origin: dict[str, Provenance]) -> dict[str, Any]:
-    """What was given for the simulation, or changed since."""
+    """The values given for the simulation, or changed since."""
     defaults = asdict(machine.valve.circuit)
     return {
         name: value

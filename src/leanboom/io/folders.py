@@ -49,7 +49,7 @@ def check(out: Path, allowed: Collection[str], ours: Callable[[Path], bool], kin
 
 @contextmanager
 def reserved(out: Path) -> Iterator[None]:
-    """Keep a place for a folder that `put` will write there, beginning before the work.
+    """Context that reserves a place for a folder that `put` will write there.
 
     Args:
         out: The place. Folders above it are made.
@@ -70,7 +70,7 @@ def reserved(out: Path) -> Iterator[None]:
 
 @contextmanager
 def opened(*outs: Path) -> Iterator[None]:
-    """Keep folders, made where they are missing, for files that `write` will put into them, beginning before the work.
+    """Context that reserves folders, made where they are missing, for files that `write` will put into them.
 
     Args:
         outs: The folders; one may be named twice.
@@ -139,7 +139,7 @@ def write(folder: Path, contents: Mapping[str, bytes]) -> None:
 
 @contextmanager
 def explained(out: Path, what: str = "out", problem: str = "cannot be written") -> Iterator[None]:
-    """What the system refuses, said as a problem of a folder.
+    """Context that turns refusals of the system into an InputError on a folder.
 
     Args:
         out: The folder.
@@ -173,7 +173,7 @@ def _folder(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def _lock(out: Path, path: Path) -> Iterator[bool]:
-    """Hold the lock of a file; False where the file system has none."""
+    """Context that holds the lock of a file; False where the file system has none."""
     while True:
         file = path.open("ab")
         try:

@@ -235,7 +235,7 @@ def _provenance(source: Source) -> tuple[Provenance, ...]:
 
 
 def _section(made: type, source: Source) -> Any:
-    """What a file's data make; problems are noted, and None returned."""
+    """The instance made of a file's data; None if problems were noted."""
     from pydantic import ValidationError
 
     from leanboom.quantities.declarations import Section

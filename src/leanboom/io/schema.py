@@ -22,7 +22,7 @@ from leanboom.quantities.types import Identifier, PositiveLength, Words
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Diameters that give a cylinder's areas."""
+    """Diameters that determine a cylinder's areas."""
 
     bore: PositiveLength | None = None
     """Piston diameter; with rod."""

@@ -1,4 +1,4 @@
-"""The one result every method returns: how the redundant cylinder moves."""
+"""Motion of the redundant cylinder, the result of every method."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Motion:
 
     @property
     def duration(self) -> float:
-        """How long the motion lasts [s]."""
+        """Duration [s]."""
         return self.step * self.acceleration.size - self._late
 
     @property
@@ -67,7 +67,7 @@ class Motion:
 
     @property
     def _late(self) -> float:
-        """How much shorter than the others the first interval is [s]."""
+        """Time by which the first interval is shorter than the others [s]."""
         return 0.0 if self.lead is None else self.step - self.lead
 
     def at(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -45,7 +45,7 @@ class Outcome(str):
         return self.kind in (Kind.SOLVED, Kind.UNDELIVERABLE)
 
     def head(self, text: str) -> str:
-        """What a result prints as: what it is, behind NOT SOLVED and the reason where it is none.
+        """First line of a printed result, with NOT SOLVED and the reason in front where it is not solved.
 
         Args:
             text: What it is.
@@ -58,5 +58,5 @@ COMPLETE = Outcome(Kind.COMPLETE, "complete")
 
 
 def read(text: str) -> Outcome:
-    """The outcome that a text without a kind tells of: `solved`, or else a limit that is broken."""
+    """The outcome of a text without a kind: `solved`, or else a limit that is broken."""
     return text if isinstance(text, Outcome) else SOLVED if text == SOLVED else Outcome(Kind.INFEASIBLE, text)

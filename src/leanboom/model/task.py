@@ -34,7 +34,7 @@ class _Start(Rule):
 
     @property
     def kind(self) -> Kind:
-        """What it measures, if it is no word."""
+        """The kind of quantity, if it is no word."""
         return KINDS["length"]
 
     def check(self, value: Any) -> str | float:
@@ -100,7 +100,7 @@ class Task:
 
 
 def faults(path: Path | None, machine: Machine, start: Start, smooth: float | None) -> list[tuple[Key, object, str]]:
-    """What does not fit together in a task: keys of a file, their values, and what these must be.
+    """Contradictions in a task: keys of a file, their values, and what these must be.
 
     Args:
         path: The path; None if it is wrong in itself.

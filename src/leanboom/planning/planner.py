@@ -30,7 +30,7 @@ from leanboom.problem import stages, starts
 from leanboom.progress import Progress, quiet
 from leanboom.quantities.ranges import STAGE, noted, one_of
 
-KEPT = 8  # judged motions that a search holds at a time
+MOTIONS_AT_A_TIME = 8  # judged motions that a search holds at a time
 PROOF_SECONDS = 300.0  # time that `thorough` takes for a proof at most [s]
 PROVEN = {"ls": 1.0, "cp": 0.3}  # gap at which it ends [%]
 
@@ -49,7 +49,7 @@ class Plan:
 
     @property
     def status(self) -> Outcome:
-        """`solved`, or as a sentence what limit is broken, or what the chosen pump cannot deliver."""
+        """`solved`, or a sentence on the violated limit or on what the chosen pump cannot deliver."""
         return self.evaluation.status_with(self.pump)
 
     @property
@@ -91,7 +91,7 @@ def plan(
     warm_start: Sequence[Motion] = (),
     check: bool = True,
 ) -> Motion:
-    """Plan a task and return its motion.
+    """The planned motion of a task.
 
     Args:
         task: What to do; `task.start` says where the redundant cylinder starts.
@@ -136,7 +136,7 @@ def run(
     check: bool = True,
     progress: Progress | None = None,
 ) -> Plan:
-    """Plan a task and judge the result, with progress; arguments as in `plan`.
+    """The judged `Plan` of a task, with progress; arguments as in `plan`.
 
     Args:
         task: What to do.
@@ -199,7 +199,7 @@ def run(
 
 @dataclass(slots=True)
 class _Proof:
-    """A proof of how good a motion is, and what it was made with."""
+    """A certificate of a motion, with its arguments."""
 
     task: Task
     pump: str
@@ -243,7 +243,7 @@ def _check(
     if chosen is not None and cost in COSTS and not chosen.minimises(cost):
         problems.append(f"method {method} minimises {' or '.join(chosen.costs or ())}, not {cost}")
     nodes, length = value_function.sizes(grid, step, STAGE, problems)
-    check_measurable(task, KEPT)
+    check_measurable(task, MOTIONS_AT_A_TIME)
     value_function.check_memory(stages.count(task.duration, length), *nodes)
     assert chosen is not None  # or it would be among the problems
     return chosen, nodes, length
@@ -258,7 +258,7 @@ def _start(task: Task, method: str, step: float) -> float:
 
 
 def _explain(task: Task, grid: tuple[int, int], step: float, status: str, tell: Progress) -> str:
-    """Why there is no feasible motion: whether that is proven, and the shortest duration found to have one."""
+    """Sentence on infeasibility: whether it is proven, and the shortest duration found feasible."""
     tell("looking for a proof that there is no motion", 0.9)
     problem = stages.discretise(task, step)
     proven = lower_bounds.excludes_motion(problem, starts.start_position(problem, task.start))

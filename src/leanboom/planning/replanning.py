@@ -28,7 +28,7 @@ from leanboom.quantities.ranges import Range, noted, one_of
 TUBE = (13, 21)  # nodes of a tube; few positions do, as the tube is narrow
 WIDTH, SPREAD = 0.03, 0.12  # first half widths of a tube, of the stroke range and of the velocity limit
 SETTLE = 1.0  # time in which a disturbed motion is led back to the planned one [s]
-REACH = 1e-3  # [m], how far off the feasible extensions a state may be
+STATE_TOLERANCE = 1e-3  # [m], how far off the feasible extensions a state may be
 STEP = 0.1  # [s]
 COARSE = 2.0  # stages of the coarse program are longer by this
 SHORTEST = 0.01  # [s], a rest shorter than this is not planned again
@@ -184,7 +184,7 @@ def _check_length(task: Task, around: Motion | Continuation, problems: list[str]
 
 def _check_position(problem: Problem, time: float, position: float) -> None:
     intervals = problem.intervals[0]
-    if not np.any((intervals[:, 0] - REACH <= position) & (position <= intervals[:, 1] + REACH)):
+    if not np.any((intervals[:, 0] - STATE_TOLERANCE <= position) & (position <= intervals[:, 1] + STATE_TOLERANCE)):
         allowed = " or ".join(f"{low:.4f} m to {high:.4f} m" for low, high in intervals)
         raise InputError(
             f"position = {position:g} m at {time:g} s; the tool is on its path there with {allowed}: "

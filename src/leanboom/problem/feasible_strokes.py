@@ -12,7 +12,7 @@ from leanboom.model.task import Task
 SAMPLES = 257  # extensions looked at when searching the feasible ones
 CLOSER = 16  # times as many, where none of them is feasible
 BLOCK = 1024  # stages looked at together: a closer look takes 220 kB of memory a stage
-PROMISE = 1e-9  # [m], accuracy of the ends of the feasible extensions
+STROKE_ACCURACY = 1e-9  # [m], accuracy of the ends of the feasible extensions
 _BENT = f"an arm stays {np.degrees(kinematics.ELBOW_MARGIN):g} deg from straight and from folded up"
 
 
@@ -58,7 +58,7 @@ def _feasible_strokes(
     good = np.where(inside[stage, index], grid[index], grid[index + 1])
     bad = np.where(inside[stage, index], grid[index + 1], grid[index])
     here = here[stage]
-    while np.max(np.abs(good - bad), initial=0.0) > PROMISE:
+    while np.max(np.abs(good - bad), initial=0.0) > STROKE_ACCURACY:
         middle = 0.5 * (good + bad)
         keeps = cranes.position_margin(crane, here, middle) >= 0.0
         good, bad = np.where(keeps, middle, good), np.where(keeps, bad, middle)

@@ -1,4 +1,4 @@
-"""What a dataclass declares of its fields: rules, which keep Python's values and read a file's, and meanings.
+"""Declarations of a dataclass's fields: rules, for values in Python and in files, and meanings.
 
 A dataclass whose fields carry rules is a section of a file as it stands: `Section` reads it, pydantic walks through it.
 `Variant` chooses one of several by the key `type`. Pydantic is imported when a file is read, not before.
@@ -54,7 +54,7 @@ def _rule(hint: Any) -> Rule | None:
 
 @cache
 def meanings(kind: type) -> dict[str, str]:
-    """What the fields of a dataclass mean, by name: the text below each in its source."""
+    """Meanings of the fields of a dataclass, by name: the text below each in its source."""
     prefix, parts = getattr(kind, "prefix", ""), getattr(kind, "made_of", ())
     found = {name.removeprefix(prefix): text for part in parts for name, text in meanings(part).items()}
     return found | _texts(kind)
@@ -148,13 +148,13 @@ class Section(Rule):
 
     @property
     def fields(self) -> dict[str, Field]:
-        """Its keys but for `type`."""
+        """The fields of the section, without `type`."""
         found = declared(self.made)
         return {name: Field(each.rule, True, None) for name, each in found.items()} if self.stated else found
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Its keys."""
+        """The keys of the section."""
         return (*(("type",) if self.tag else ()), *self.fields)
 
     @property
@@ -167,7 +167,7 @@ class Section(Rule):
         return self
 
     def data(self, made: Any) -> dict[str, Any]:
-        """What a file says of an instance, in SI units."""
+        """A file's data for an instance, in SI units."""
         return ({"type": self.tag} if self.tag else {}) | asdict(made)
 
     def load(self, data: Any) -> Any:
@@ -254,7 +254,7 @@ class _Chosen(Rule):
     """A section that its reader chooses: pydantic is told of no type."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Whatever the check makes."""
+        """The value as the check returns it."""
         from pydantic_core import core_schema
 
         return core_schema.no_info_wrap_validator_function(self.validated, core_schema.any_schema())
@@ -271,12 +271,12 @@ class Variant(_Chosen):
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """Its types."""
+        """The types of the variants."""
         return tuple(self.kinds)
 
     @property
     def sections(self) -> tuple[Section, ...]:
-        """What it may be."""
+        """The sections by their types."""
         return tuple(Section(kind, name) for name, kind in self.kinds.items())
 
     @property

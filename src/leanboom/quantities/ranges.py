@@ -1,4 +1,4 @@
-"""Which values are allowed, the same for those in files and for those handed to a constructor in Python.
+"""Allowed values of fields, the same in files and in constructors.
 
 A rule stands in a field's type, `Annotated[float, LENGTH]`; `declarations` finds it there. Pydantic applies it to
 the values of files.
@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 
 class Refused(ValueError):
-    """A value that is not what is allowed; `key` if it stands one level deeper."""
+    """Error of a value that is not allowed; `key` if it stands one level deeper."""
 
     def __init__(self, allowed: str, key: str = "", kind: LiteralString = "refused"):
         super().__init__(allowed)
@@ -32,14 +32,14 @@ class Refused(ValueError):
 
 
 class Rule:
-    """What a value must be, in words; how it is read; and for quantities of what kind, to write them again."""
+    """Rule of a value: its range in words, how it is read, and for quantities the kind."""
 
     __slots__ = ()
     _allowed = "must be given"
 
     @property
     def allowed(self) -> str:
-        """What a value must be."""
+        """The allowed values in words."""
         return self._allowed
 
     @property
@@ -221,7 +221,7 @@ def one_of(key: str, value: object, allowed: Iterable[str]) -> None:
 
 
 def noted(problems: list[str], read: Callable[..., T], *arguments: Any) -> T | None:
-    """What a reader answers; None where it raises InputError, whose text is added to the problems.
+    """Value returned by a reader; None where it raises InputError, whose text is added to the problems.
 
     Args:
         problems: Where texts are added.

@@ -15,7 +15,7 @@ from math import inf, isfinite, pi
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What a quantity measures and the SI unit it becomes; for messages an example and the usual units."""
+    """Kind of quantity: its name and SI unit; for messages an example and the usual units."""
 
     name: str
     unit: str
@@ -95,7 +95,7 @@ def _registry():
 
 @cache
 def _factor(unit: str, target: str) -> Fraction | None:
-    """What one `unit` is in SI units `target`; None if it is no unit or measures something else."""
+    """Factor from `unit` to SI units `target`; None if it is no unit or measures something else."""
     if unit == target:
         return Fraction(1)
     from pint import PintError
@@ -107,7 +107,7 @@ def _factor(unit: str, target: str) -> Fraction | None:
 
 
 def _parsed(unit: str):
-    """A unit as pint sees it.
+    """A unit as a pint object.
 
     Raises:
         ValueError: It is not made of words and small powers.
@@ -151,7 +151,7 @@ def write(value: float, kind: Kind) -> str:
 
 
 def expected(text: str, kind: Kind) -> str:
-    """What a text that `parse` refuses must be, as a message.
+    """Message on the allowed form of a text that `parse` refuses.
 
     Args:
         text: As written.
@@ -188,7 +188,7 @@ def _odd(text: str) -> bool:
 
 
 def _unit(text: str) -> str:
-    """What follows the number of a quantity; nothing if nothing does, or it begins with no number."""
+    """The text after the number of a quantity; empty without one."""
     match = _QUANTITY.fullmatch(text.strip())
     return "" if match is None or _odd(text) else (match[2] or "").strip()
 

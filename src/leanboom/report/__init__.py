@@ -1,1 +1,1 @@
-"""What is written for people: pages, figures, facts and the run folder."""
+"""Reports: pages, figures, facts and the run folder."""

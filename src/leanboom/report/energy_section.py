@@ -1,4 +1,4 @@
-"""Facts on energy for who pays for it: an hour's work, its fuel, and where the energy goes."""
+"""Energy section of a report: an hour's work, its fuel, and the parts of the energy."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Part:
 
 
 def hourly(plan: Plan) -> str:
-    """What an hour of this motion takes, as sentences; empty for a plan that is not solved.
+    """Sentences on energy and fuel of an hour of this motion; empty for a plan that is not solved.
 
     Args:
         plan: The plan.
@@ -78,7 +78,7 @@ def per_hour(judged: Evaluation, pump: str) -> str:
 
 
 def parts(motions: dict[str, Evaluation], pump: str) -> tuple[list[tuple[str, float]], list[Part]]:
-    """Where the energy of motions goes, those beside each other that follow the path.
+    """Parts of the energy of motions that follow the path, beside each other.
 
     Args:
         motions: The motions by their names.

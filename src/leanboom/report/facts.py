@@ -1,4 +1,4 @@
-"""What can be said about a machine or task before anything is planned: origin of its values, reach, pressures.
+"""Facts on a machine or task known before planning: origin of its values, reach, pressures.
 
 The pressures are static: the cylinder force that carries the crane's own weight in the pose of longest reach, on the
 machine's valve. They show slips in masses, lengths and bores that no single value gives away.
@@ -39,7 +39,7 @@ _TRIAL = 1000.0  # [kg], forces are affine in the payload
 
 
 def count(machine: Machine) -> dict[str, int]:
-    """How many of a machine's values have each status of `STATUSES`.
+    """Number of a machine's values of each status in `STATUSES`.
 
     Args:
         machine: The machine, with its provenance.
@@ -49,7 +49,7 @@ def count(machine: Machine) -> dict[str, int]:
 
 
 def assumed(machine: Machine) -> str:
-    """How much of a machine is assumed, as a sentence.
+    """Sentence on the number of assumed values of a machine.
 
     Args:
         machine: The machine, with its provenance.
@@ -63,12 +63,12 @@ def assumed(machine: Machine) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """The pose of longest reach, and what it takes to hold the crane in it; cylinders in joint order."""
+    """The pose of longest reach, and the static pressures in it; cylinders in joint order."""
 
     radius: float  # largest tool distance from the slewing axis [m]
     tool_height: float  # in that pose [m]
     highest: float  # largest tool height in any pose [m]
-    pressure: tuple[float, ...]  # of the driven chamber, no payload [Pa]
+    pressure: tuple[float, ...]  # of the working chamber, no payload [Pa]
     capacity: float  # largest payload at the pump's highest pressure less the margin [kg]
 
 
@@ -125,7 +125,7 @@ def efficiency(machine: Machine) -> str:
 
 
 def doubts(machine: Machine) -> tuple[str, ...]:
-    """What looks wrong with a machine, one sentence each; nothing here is an error.
+    """Sentences on doubtful values of a machine; none of them is an error.
 
     Args:
         machine: The machine.
@@ -259,7 +259,7 @@ def straight(judged: Evaluation) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """What a look at one file finds."""
+    """The result of checking one file."""
 
     file: str  # as asked for: a path or a bundled name
     kind: Literal["machine", "task"] | None  # None if the file cannot be read
@@ -274,7 +274,7 @@ class Checked:
 
     @property
     def complaint(self) -> str:
-        """What is wrong, with the name of the file."""
+        """The problem, with the name of the file."""
         return str(self.error) if getattr(self.error, "problems", ()) else f"{self.file}: {self.error}"
 
     def json(self) -> dict[str, Any]:
@@ -297,7 +297,7 @@ class Checked:
 
 
 def check(name: str) -> Checked:
-    """Look at a machine or a task.
+    """Check a machine or a task.
 
     Args:
         name: Bundled name or path of a file.

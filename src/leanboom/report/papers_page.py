@@ -29,7 +29,7 @@ Table = tuple[list[str], list[list[str]], bool]  # heads, rows, and whether the 
 
 @contextmanager
 def reserved(out: Path | None) -> Iterator[None]:
-    """Keep a place for the folder of a comparison while it is made; without a place, nothing.
+    """Context that reserves a place for the folder of a comparison while it is made; without a place, nothing.
 
     Args:
         out: The folder.
@@ -99,7 +99,7 @@ def page(result: Reproduction) -> str:
 
 
 def _section(name: str, result: Reproduction) -> dict[str, Any]:
-    """What is filled into an experiment's section."""
+    """Values for the template of an experiment's section."""
     lines = [line for line in result.lines if line.experiment == name]
     section = {"title": EXPERIMENTS[name].title, "figures": list(_figures_of(name, result))}
     if name == "sensitivity":

@@ -1,4 +1,4 @@
-"""What the script of a report draws: the crane's poses and the charts' values, thinned out and in readable units."""
+"""Data for the script of a report: poses of the crane and values of charts, thinned out, in readable units."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def colours(machine: Machine) -> dict[str, str]:
 
 
 def data(plan: Plan) -> dict[str, Any]:
-    """What the page's script draws, ready for JSON.
+    """Data for the page's script, ready for JSON.
 
     Args:
         plan: The plan.

@@ -108,7 +108,7 @@ def _verdict(plan: Plan) -> str:
 
 
 def _cards(plan: Plan) -> list[tuple[str, str, str]]:
-    """What each card is of, its value, and more of it."""
+    """Title, value and note of each card."""
     judged = plan.evaluation
     what = "Energy, plan" if plan.solved else "Energy, plan (not solved)"
     cards = [(what, _kilojoule(judged, plan.pump), _average(judged, plan.pump))]
@@ -143,7 +143,7 @@ def _bars(plan: Plan, motions: dict[str, Evaluation]) -> list[tuple[str, float, 
 
 
 def _motion_text(plan: Plan) -> str:
-    """What the drawing shows when it opens; that postures differ is said where they do."""
+    """Sentences on the pose first drawn, and on where postures differ."""
     if plan.baseline is None:
         return "The crane drawn to scale along its path. Press play to see it move."
     time, apart = plan_charts.postures_apart(plan)
@@ -166,7 +166,7 @@ def _frictions(machine: Machine) -> str:
 
 
 def _crane_parts(plan: Plan) -> list[tuple[str, str]]:
-    """Colour and name of what is drawn of the crane."""
+    """Colour and name of each drawn part of the crane."""
     machine = plan.task.machine
     names = {
         "base": "column",

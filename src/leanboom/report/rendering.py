@@ -1,4 +1,4 @@
-"""Pages from the templates of this folder: what is filled in is escaped, and no page asks anything of a network."""
+"""Pages from the templates of this folder: values are escaped, and pages need no network."""
 
 from __future__ import annotations
 

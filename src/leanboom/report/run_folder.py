@@ -84,7 +84,7 @@ def check(out: Path) -> None:
 
 @contextmanager
 def reserved(out: Path | None) -> Iterator[None]:
-    """Keep a place for a run folder while its contents are found; without a place, nothing.
+    """Context that reserves a place for a run folder while its contents are computed; without a place, nothing.
 
     Args:
         out: Where the run folder is wanted.
@@ -109,7 +109,7 @@ def _is_run_folder(folder: Path) -> bool:
 
 
 def _kept(folder: Path) -> dict[str, Any]:
-    """What stands in a folder's summary; nothing where it is none."""
+    """The data of a folder's summary; empty where it is none."""
     try:
         with (folder / SUMMARY).open("rb") as stream:
             found = json.loads(stream.read(MAX_SUMMARY))  # of a longer file the end is missing, and it is none

@@ -1,4 +1,4 @@
-"""What is written of a simulated run: numbers as JSON, samples as CSV, and a page that explains them, offline."""
+"""Files of a simulated run: numbers as JSON, samples as CSV, and a page that explains them, offline."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SIMULATED, PORTS = "simulated", ("piston side", "rod side")
 
 
 def summary(run: Simulation, out: Path | None = None) -> dict[str, Any]:
-    """A run's numbers in SI units, as `closed_loop.json` and `--json` have them; one that is not finite is None.
+    """A run's numbers in SI units, as `simulation.json` and `--json` have them; one that is not finite is None.
 
     Args:
         run: The run.
@@ -44,7 +44,7 @@ def _finite(value: float) -> float | None:
 
 
 def columns(run: Simulation) -> dict[str, np.ndarray]:
-    """The columns of `closed_loop.csv` by name, in their order, (samples,) each.
+    """The columns of `simulation.csv` by name, in their order, (samples,) each.
 
     Args:
         run: The run.
@@ -112,7 +112,7 @@ def page(run: Simulation) -> str:
 
 
 def _cards(run: Simulation) -> list[tuple[str, str, str]]:
-    """What each card is of, its value, and more of it."""
+    """Title, value and note of each card."""
     errors = ", ".join(
         f"{name} {1e3 * error:.1f} {'mm' if name == 'extension' else 'mrad'}"
         for name, error in zip(run.task.machine.names, run.joint_error, strict=True)
@@ -135,7 +135,7 @@ def _data(run: Simulation) -> dict[str, Any]:
     moving = at <= last
 
     flow, supply, power, energy = (values[there] for values in pump_values(plan, run.pump))
-    driven = [values[at] for values in (run.pump_flow, run.supply, run.power, run.cumulative)]
+    simulated = [values[at] for values in (run.pump_flow, run.supply, run.power, run.cumulative)]
     wanted = [flow * moving, supply, power * moving, energy]
     joints: dict[str, list] = {"Positions": [], "Errors": [], "Piston velocities": []}
     cylinders: dict[str, list] = {"Chamber pressures": [], "Valve commands": []}
@@ -164,6 +164,6 @@ def _data(run: Simulation) -> dict[str, Any]:
             rows[row].append(chart(name.capitalize(), axis, of, COLOURS[name], lines, behind))
     return {
         "time": rounded(run.time[at]),
-        "pump": pump_charts({SIMULATED: driven}, {"planned": wanted}, run.task.machine.pump.max_pressure),
+        "pump": pump_charts({SIMULATED: simulated}, {"planned": wanted}, run.task.machine.pump.max_pressure),
         "rows": {"joint-charts": chart_rows(joints), "cylinder-charts": chart_rows(cylinders)},
     }

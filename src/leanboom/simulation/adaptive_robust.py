@@ -37,7 +37,7 @@ from leanboom.simulation.controllers import Rig, Sample
 K1, K2, K3 = 6.0, 8.0, 20.0  # [1/s]
 ADAPTATION = 0.05  # gamma, below 1: the oil's own stiffness would follow no faster
 SMOOTH = 60.0  # of the desired pressures' rates [rad/s]
-LEAST_ERROR = 0.004  # a cylinder that planning counts as held is driven only for a larger error [m]
+LEAST_ERROR = 0.004  # a cylinder that planning counts as at rest moves only for a larger error [m]
 
 
 class AdaptiveRobust:
@@ -117,7 +117,7 @@ class _Function:
         return self._inverse(min(flow_a, 0.0)), self._inverse(max(flow_b, 0.0))
 
     def _turn(self, v_d: float, error: float) -> None:
-        """Direction of the valves: of the desired velocity; when held that which takes a large error away, or none."""
+        """Direction of the valves: of the desired velocity; at rest that which takes a large error away, or none."""
         if abs(v_d) > self._least:
             self._direction = math.copysign(1.0, v_d)
         elif abs(error) > LEAST_ERROR:

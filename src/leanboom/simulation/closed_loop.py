@@ -1,8 +1,8 @@
-"""The closed loop: a planned motion driven by pump, valves and controller, and what that takes.
+"""The closed loop: a planned motion driven by pump, valves and controller, and its energies.
 
 Every 2 ms the controller sees cylinders and targets and sets the valves; the plant moves on by itself in between. The
-plan is what the judge makes of the motion. After the path's end the crane is held for a second, since valves are
-late. Whatever ends a run early, the part before it is kept and marked incomplete.
+plan is what the judge makes of the motion. After the path's end the targets stay for a second: valves are late.
+Whatever ends a run early, the part before it is kept and marked incomplete.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Simulation:
 
     @property
     def verdict(self) -> Outcome:
-        """`solved`, or as a sentence why the run ended early, or what is wrong with the plan it drove."""
+        """`solved`, or a sentence on why the run ended early or on the violations of its plan."""
         return self.planned.status_with(self.pump) if self.complete else self.status
 
     @property
@@ -84,12 +84,12 @@ class Simulation:
 
     @property
     def energy(self) -> float:
-        """What the pump took [J]."""
+        """Energy of the pump [J]."""
         return float(self.cumulative[-1])
 
     @property
     def planned_energy(self) -> float:
-        """What the judge says the pump takes [J]."""
+        """Judged energy of the pump [J]."""
         return self.planned.energy(self.pump)
 
     @property
@@ -141,7 +141,7 @@ def simulate(
     tolerance: float = TOLERANCE,
     progress: Progress | None = None,
 ) -> Simulation:
-    """Drive a motion in closed loop with the full hydraulics.
+    """The `Simulation` of a motion in closed loop with the full hydraulics.
 
     Args:
         task: The task the motion belongs to.

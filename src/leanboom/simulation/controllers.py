@@ -47,14 +47,14 @@ RELEASE = 0.4  # share of epsilon_p below which regulation ends
 
 # Measuring the table: openings behind the dead zone that are tried either way, and how long each is held [s].
 SHARES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0)
-HELD, AVERAGED = 1.6, 0.5
+COMMANDED, AVERAGED = 1.6, 0.5
 RIG_MASS = 1000.0  # on every cylinder of the test rig; a steady velocity does not depend on it [kg]
 RIG_STEP = 0.01  # [s]
 
 
 @dataclass(slots=True)
 class Sample:
-    """What a controller sees at a sample; arrays are (cylinders,), in joint order, and not to be kept."""
+    """Measurements and targets at a sample; arrays are (cylinders,), in joint order, and not to be kept."""
 
     time: float  # [s]
     joint: np.ndarray  # [rad], [m] for the extension
@@ -70,7 +70,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rig:
-    """What a controller may know when it is made."""
+    """Data available to a controller when it is made: plant, start, sample time."""
 
     plant: Plant  # its `crane` is the machine with its payload
     joints: np.ndarray  # where the crane starts, (cylinders,) [rad, m]
@@ -95,7 +95,7 @@ Factory = Callable[[Rig], Controller]
 class DeadZoneInverse:
     """Inverse of the measured valve plus proportional feedback, eqs. (A1)-(A2), in two modes.
 
-    Tracking: the valve is driven while the desired velocity is above epsilon_v. Regulation: below it, only a position
+    Tracking: the valve opens while the desired velocity is above epsilon_v. Regulation: below it, only a position
     error above epsilon_p opens the valve, until the error is well below it.
     """
 
@@ -168,7 +168,7 @@ def _measure(crane: Crane) -> tuple[np.ndarray, ...]:
     load = static_loads(plants.of(crane), np.array(middle))
     plant = plants.assemble(crane, rig(crane, load, RIG_MASS))
     layout = plant.layout
-    held, averaged = round(HELD / RIG_STEP), round(AVERAGED / RIG_STEP)
+    held, averaged = round(COMMANDED / RIG_STEP), round(AVERAGED / RIG_STEP)
     edges = np.zeros((held + 12, 4 * layout.n))
     start = resting(plant, load)
     start[layout.supply] = supply_of(machine.pump, Supply.CONSTANT)[0]

@@ -21,7 +21,7 @@ ABSOLUTE = (1e-7, 1e-6, 2e2, 1e-2)
 
 
 class SolverError(LeanboomError):
-    """The solver gave up."""
+    """Error of a solver that makes no progress."""
 
 
 class Integrator:

@@ -119,7 +119,7 @@ OBSERVED = ("force", "friction", "end", "pump_flow", "wanted", "sense", "starved
 
 @dataclass(frozen=True, slots=True)
 class Mechanism:
-    """What turns forces into accelerations: a crane, or a test rig."""
+    """Map from forces to accelerations: a crane, or a test rig."""
 
     position: tuple[Value, ...]  # of the pistons, beyond retracted [m]
     velocity: tuple[Value, ...]  # of the pistons [m/s]

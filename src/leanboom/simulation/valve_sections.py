@@ -1,4 +1,4 @@
-"""Valves between pump, cylinder and tank: what flows through a section whose four edges are open so far.
+"""Valve sections between pump, cylinder and tank: flows at given openings of the four edges.
 
 Every section has the edges P-A, A-T, P-B and B-T, each open by a share from 0 to 1. A mobile valve's one spool moves
 them together; independent metering moves each by itself. Steady states are those that planning knows: eqs. (23)-(24)
@@ -30,7 +30,7 @@ Value = Any  # float, NumPy array or CasADi symbol
 
 @dataclass(frozen=True, slots=True)
 class Flows:
-    """What passes a section."""
+    """Flows and losses of a section."""
 
     a: Value  # into chamber A [m^3/s]
     b: Value  # into chamber B
@@ -41,7 +41,7 @@ class Flows:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """One cylinder's valve, and what it stands between."""
+    """One cylinder's valve, and the circuit around it."""
 
     edges: Edges
     connection: Connection
@@ -60,7 +60,7 @@ def section(machine: Machine, cylinder: Cylinder) -> Section:
 
 
 def flows(section: Section, shares: tuple[Value, Value, Value, Value], a: Value, b: Value, supply: Value) -> Flows:
-    """What flows through a section.
+    """The `Flows` of a section.
 
     Args:
         section: The section.

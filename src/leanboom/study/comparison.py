@@ -49,7 +49,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Row:
-    """What one method makes of the task, for one pump and start."""
+    """The result of one method on the task, for one pump and start."""
 
     entry: Entry
     pump: str
@@ -167,7 +167,7 @@ def entries(methods: Sequence[str] | None, pumps: Sequence[str]) -> tuple[Entry,
 
 
 def _unfit(method: str, chosen: Method, cost: str) -> str:
-    """Why a method does not minimise a cost; nothing if it does."""
+    """Sentence on why a method does not minimise a cost; empty if it does."""
     own = chosen.costs or tuple(COSTS)
     if cost in own:
         return ""
@@ -197,7 +197,7 @@ def compare(
         pump: "ls", "cp" or both: whose energy is compared.
         start: Where the redundant cylinder starts, one or more; None: as the task says.
         methods: Names of methods, or "method:cost"; None: all that do not take minutes.
-        simulate: Whether every motion is driven in closed loop as well; rows are sorted by planned energy all the same.
+        simulate: Whether every motion is simulated in closed loop; rows are sorted by planned energy all the same.
         workers: Methods at a time; None: one a core.
         progress: Called with what happens and the share done.
 
@@ -216,7 +216,7 @@ def compare(
     if not starts:
         raise InputError("start = nothing; must be smallest, middle, best, or lengths [m]")
     wanted = entries(methods, pumps)
-    check_measurable(task, planner.KEPT)
+    check_measurable(task, planner.MOTIONS_AT_A_TIME)
     tasks = {each: replace(task, start=each) for each in starts}
     first = {each: _start_position(tasks[each]) for each in starts}
     tell = progress or quiet
@@ -299,13 +299,13 @@ def _added() -> dict[str, Method]:
 
 
 def _solve_with(added: dict[str, Method], asked: tuple) -> Any:
-    """What `solve` answers in a process that knows some more methods."""
+    """The row of `solve` in a process with more methods."""
     METHODS.added.update(added)
     return solve(asked)
 
 
 def _simulated(task: Task, motion: Motion, pump: str) -> dict[str, float | None]:
-    """What a simulation adds to a row; nothing but None where it cannot be run to its end."""
+    """Closed-loop numbers of a row; all None where the simulation does not reach its end."""
     from leanboom.simulation import closed_loop
 
     try:

@@ -27,7 +27,7 @@ STARTING, VALUE, REFUSAL, FAILURE = "starting", "value", "refusal", "failure"
 
 @dataclass(frozen=True, slots=True)
 class CallResult:
-    """What became of a call."""
+    """Result or error of a call."""
 
     value: Any = None
     failure: str = ""  # why there is no value, as a sentence
@@ -92,7 +92,7 @@ def each(
 
 
 def _listen(pipe: Any, process: Any, said: list) -> CallResult | None:
-    """What a process says next: its result, or None for now."""
+    """The next message of a process: its result, or None for now."""
     try:
         word, value = pipe.recv()
     except EOFError:
@@ -116,7 +116,7 @@ def _listen(pipe: Any, process: Any, said: list) -> CallResult | None:
 
 
 def _call(pipe: Any, function: Callable[[Any], Any], argument: Any) -> None:
-    """What a process does: call the function on one thread and send what comes of it."""
+    """Main function of a process: call the function on one thread and send the result."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which ends its processes
     pipe.send((STARTING, None))
     silence = os.open(os.devnull, os.O_WRONLY)  # solvers print; standard output belongs to the results

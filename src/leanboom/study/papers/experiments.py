@@ -1,4 +1,4 @@
-"""The papers' experiments: which solutions each needs, and what is read off them.
+"""The papers' experiments: the solutions each needs, and the ratios computed from them.
 
 An experiment is its jobs, by name, and a function from their records to lines that stand beside the printed values.
 Jobs of several experiments that agree are solved once. All solutions start and are filtered (5 Hz, after planning) as
@@ -157,7 +157,7 @@ def _table_lines(name: str, rows: tuple[printed_values.Entry, ...], pump: str, g
 
 
 def _broken(record: Record) -> str:
-    """What a record's motion breaks, in few words; nothing if it keeps every limit."""
+    """Limits that a record's motion breaks, in few words; empty if none."""
     if record["status"] == SOLVED:
         return ""
     limit = re.search(r"(position|velocity|acceleration) of (\w+)", record["status"])
@@ -235,7 +235,7 @@ def _sizing_lines(got: Records) -> list[Line]:
 def _changes(
     what: str, pairs: Mapping[str, tuple[Record, Record]], values: Mapping[str, float], why: str
 ) -> list[Line]:
-    """What a change of a cylinder does, in percent; pairs are the new and old optimum of each pump."""
+    """Effect of a change of a cylinder [%]; pairs are the new and old optimum of each pump."""
     lines = []
     for name, key, pump, quantity in (
         ("CP flow", "flow", "cp", "flow_m3"),

@@ -220,7 +220,7 @@ def _nothing(reason: str) -> dict[str, Any]:
 
 
 class _Kept(BaseModel):
-    """What a record must hold: finite numbers, all of them where the solution is one, and samples of equal count."""
+    """Schema of a record: finite numbers, all of them where the solution is one, and samples of equal count."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
