@@ -287,7 +287,7 @@ def test_what_others_take_of_the_processors_is_not_spent(monkeypatch):
 def test_more_time_is_extrapolated_from_the_levels_so_far(monkeypatch, levels, gap):
     monkeypatch.setattr(budget.time, "perf_counter", lambda: 24.0)
     monkeypatch.setattr(budget.time, "process_time", lambda: 12.0)
-    goal = refinement.Goal(None, "cp", None, SimpleNamespace(energy=100.0), 0.5)
+    goal = refinement.Goal(None, "cp", None, None, SimpleNamespace(energy=100.0), 0.5)
     course = refinement.Course(goal, budget.Budget(1.0, 1, 0.0, 0.0), quiet)
     course.rate, course.begun, course.under_way = 0.1, 10.0, (400, 400)
     done = [refinement.Level(rows, cells, rows * cells, 100.0 - left, left, 0.0, 0.0) for rows, cells, left in levels]

@@ -261,7 +261,7 @@ def test_a_direction_that_is_not_downhill_is_told():
 # The answer
 
 
-def by_ipopt(polisher: modes.Polisher, start: motion.Motion, switches: modes.Modes) -> float:
+def by_ipopt(polisher: modes.Polisher, start: motion.Motion, switches: modes.Modes, fixed_end: bool) -> float:
     """Least cost of the same modes by IPOPT: the program stated once more, on symbols, from the crane's formulas."""
     import casadi as ca
 
@@ -290,7 +290,8 @@ def by_ipopt(polisher: modes.Polisher, start: motion.Motion, switches: modes.Mod
         poses.append(cranes.pose(problem.crane, here, c))
         velocity = cranes.move(poses[k], w, 0.0).velocity[problem.moving]
         if k > 0:
-            hold(c, stated.low[k, 0], stated.high[k, 0])
+            ends = fixed_end and k == count_
+            hold(c, *(start.position[[-1, -1]] if ends else (stated.low[k, 0], stated.high[k, 0])))
             for i in range(n - (k == count_)):
                 hold(velocity[i], stated.low[k, 1 + i], stated.high[k, 1 + i])
     hold(states[-1][1], 0.0, 0.0)
@@ -325,24 +326,30 @@ def by_ipopt(polisher: modes.Polisher, start: motion.Motion, switches: modes.Mod
 
 
 @pytest.mark.parametrize(
-    ("name", "cost"), [("vertical", "cp"), ("vertical", "ls"), ("loader", "ls"), ("slewing", "cp")]
-)
-def test_answer_is_ipopts(name, cost):
+    ("name", "cost", "fixed_end"),
+    [
+        ("vertical", "cp", False), ("vertical", "ls", False), ("loader", "ls", False), ("slewing", "cp", False),
+        ("vertical", "cp", True), ("loader", "ls", True),
+    ],
+)  # fmt: skip
+def test_answer_is_ipopts(name, cost, fixed_end):
     """Same modes, same start, another formulation and another solver: costs within 0.01 %."""
     polisher = built(name, cost, 0.5)
     problem = polisher.problem
     first = seed(name, cost, 0.5)
-    start, text = modes.solve(polisher, first, modes.modes(polisher, first))  # its modes agree with themselves
-    assert start is not None, text
+    if fixed_end:
+        first = motion.ending_at(first, float(first.position[0]))
+    start, text = modes.solve(polisher, first, modes.modes(polisher, first), fixed_end=fixed_end)
+    assert start is not None, text  # its modes agree with themselves
     switches = modes.modes(polisher, start)
     mode = modes._mode_parameters(polisher, switches)
-    stated = modes._program(polisher, start, switches, mode, False, (1.0, 1.0))
+    stated = modes._program(polisher, start, switches, mode, False, (1.0, 1.0), fixed_end)
     guess = modes._guess(polisher, start, switches, mode)
     unit = 1e-3 * cost_scale.energy_scale(problem, cost)
     answer, solved, _ = interior_point.minimise(stated, guess, 1e-5 * unit, 1e-10 * unit, 300)
     assert solved
     cost_here, _ = measured(stated, flat(answer))
-    assert cost_here == pytest.approx(by_ipopt(polisher, start, switches), rel=1e-4)
+    assert cost_here == pytest.approx(by_ipopt(polisher, start, switches, fixed_end), rel=1e-4)
 
 
 def test_a_better_answer_from_a_smaller_last_barrier():

@@ -37,8 +37,8 @@ def names(folder):
 def test_summary_has_the_agreed_keys_and_types(plan):
     found = summaries.summary(plan, Path("out"))
     assert list(found) == [
-        "task", "machine", "pump", "cost", "method", "start_m", "status", "duration_s", "energy_j", "energy_ls_j",
-        "energy_cp_j", "limit_use", "path_error_m", "solve_s", "peak_memory_bytes", "out",
+        "task", "machine", "pump", "cost", "method", "start_m", "end_m", "status", "duration_s", "energy_j",
+        "energy_ls_j", "energy_cp_j", "limit_use", "path_error_m", "solve_s", "peak_memory_bytes", "out",
     ]  # fmt: skip
     assert list(found["limit_use"]) == ["position", "velocity", "acceleration"]
     words = {key: value for key, value in found.items() if isinstance(value, str)}

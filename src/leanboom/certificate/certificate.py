@@ -126,15 +126,15 @@ def certify(
             f"motion takes {motion.step * motion.acceleration.size:g} s; the task takes {task.duration:g} s"
         )
     tell("best motion of the discretised problem", 0.02)
-    best = upper_bound.improve(
-        problem, upper_bound.measure(problem, stages.on_stages(problem, motion), pump), pump, start is None
-    )
+    known = upper_bound.measure(problem, stages.on_stages(problem, motion), pump)
+    best = upper_bound.improve(problem, known, pump, start is None and task.end != "same")
     if not best.keeps_limits:
         raise InfeasibleError(
             f"the motion breaks a limit at the start of a stage of {problem.step:.4g} s: so long stages may be too "
             "coarse for this task; plan and certify with one step, and a shorter one"
         )
-    course = Course(Goal(problem, pump, start, best, gap), budget, tell)
+    end = starts.end_position(problem, task.end, start)
+    course = Course(Goal(problem, pump, start, end, best, gap), budget, tell)
     levels = tuple(refinement.levels(course))
     tell("done", 1.0)
     return Certificate(

@@ -74,7 +74,7 @@ def excludes_motion(problem: Problem, start: float | None) -> bool:
 
 def bound(
     cells: Cells, start: float | None, check: Callable[[float], None], guide: GivenSlopes | None = None,
-    limit: float = np.inf, coarse: bool = False,
+    limit: float = np.inf, coarse: bool = False, end: float | None = None,
 ) -> Bounds:  # fmt: skip
     """Planes below the cost to go over all cells, by the backward pass.
 
@@ -85,12 +85,13 @@ def bound(
         guide: Gives the slopes of the planes of a stage's cells; None: differences of the bounds themselves.
         limit: Energy beyond which motions are of no interest, and not bounded [J].
         coarse: Without a guide, every plane gets a floor. It pays where cells are large.
+        end: Where motions end, at rest [m]; None: anywhere feasible.
 
     Returns:
         The bounds.
     """
     n = cells.problem.stages
-    planes: list[np.ndarray] = [np.empty(0)] * n + [np.zeros((cells.rows[n].size - 1, 1, 4))]
+    planes: list[np.ndarray] = [np.empty(0)] * n + [_at_end(cells.rows[n], end)]
     with _Pool(cells) as pool:
         given = pool.later(guide, n - 1)
         for k in range(n - 1, -1, -1):
@@ -184,6 +185,15 @@ def slopes(values: np.ndarray, axis: int, at: np.ndarray) -> np.ndarray:
             rise = np.where(np.abs(left) < np.abs(right), left, right)
         rise = np.where(left * right > 0.0, rise, 0.0)
     return np.swapaxes(rise, 0, axis)
+
+
+def _at_end(rows: np.ndarray, end: float | None) -> np.ndarray:
+    """Planes over the last stage's cells, (rows, 1, 4): zero where motions may end, else inf."""
+    planes = np.zeros((rows.size - 1, 1, 4))
+    if end is not None:
+        elsewhere = (end < rows[:-1] - cell_enclosures.ON_LIMIT) | (end > rows[1:] + cell_enclosures.ON_LIMIT)
+        planes[elsewhere, 0, 0] = np.inf
+    return planes
 
 
 def _at_start(cells: Cells, planes: np.ndarray, start: float | None) -> np.ndarray:

@@ -66,6 +66,7 @@ class Goal:
     problem: Problem
     pump: str
     start: float | None  # of the redundant cylinder [m]; None: anywhere feasible
+    end: float | None  # likewise
     best: Measured
     gap: float  # [%]
 
@@ -164,7 +165,7 @@ def coarse_level(course: Course, times: tuple[int, int], hurry: bool) -> tuple[B
     """A level of coarse cells, finished whatever the time unless `hurry` is set."""
     goal, kept = course.goal, course.goal.cells(times)
     clock = course.begin(kept)
-    found = lower_bounds.bound(kept, goal.start, clock if hurry else lambda share: None, coarse=True)
+    found = lower_bounds.bound(kept, goal.start, clock if hurry else lambda share: None, coarse=True, end=goal.end)
     goal.check(found, True)
     course.coarse.append(times)
     return found, course.level(_size(kept), kept.count, min(found.lower, goal.best.energy))
@@ -204,7 +205,7 @@ def _finer_levels(course: Course, found: Bounds) -> Iterator[Level]:
         clock, limit = course.begin(kept), np.inf if whole else goal.enough
 
         def bound(way: int, kept: Cells = kept, clock=clock, limit: float = limit) -> Bounds:
-            return lower_bounds.bound(kept, goal.start, clock, guides[way](), limit, coarse and way == 0)
+            return lower_bounds.bound(kept, goal.start, clock, guides[way](), limit, coarse and way == 0, goal.end)
 
         found, expected = tightest(bound, expected, best.energy, goal.gap)
         goal.check(found, whole)

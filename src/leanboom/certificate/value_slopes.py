@@ -42,6 +42,7 @@ from leanboom.dynamic_programming.bellman import interpolate, layer, within
 from leanboom.dynamic_programming.grids import Grid
 from leanboom.dynamic_programming.value_function import Policy
 from leanboom.model.motion import Motion
+from leanboom.problem import starts
 from leanboom.problem.layout import (
     AREA_IN,
     AREA_OUT,
@@ -157,7 +158,8 @@ def make(problem: Problem, cost: str, viable: Viable, beside: Motion) -> Guide:
     """The guide of a problem: solve it on a grid of everything feasible and on one around a motion."""
     full = grids.full_grid(problem, *GRID)
     tube = grids.tube_grid(problem, beside.position, beside.velocity, HALF_WIDTH, HALF_HEIGHT, *TUBE)
-    return Guide((value_function.solve(problem, full, cost), value_function.solve(problem, tube, cost)), viable)
+    end = starts.end_position(problem, problem.task.end, float(beside.position[0]))
+    return Guide(tuple(value_function.solve(problem, each, cost, end=end) for each in (full, tube)), viable)
 
 
 def memory(problem: Problem) -> float:

@@ -98,6 +98,7 @@ def task_facts(task: Task) -> dict[str, Any]:
         "points_m": [list(point) for point in path.points],
         "duration_s": task.duration,
         "start": task.start,
+        "end": task.end,
         "smooth_hz": task.smooth,
     }
 
@@ -174,7 +175,9 @@ def task_list(console: Console, tasks: Sequence[Task]) -> None:
     for task in tasks:
         kind = "spline" if isinstance(task.path, Spline) else "lines"
         path = f"{kind}, {len(written(task).points)} points"
-        add_row(table, task.name, task.machine.name, path, _start(task), f"{task.payload:g}", f"{task.duration:g}")
+        add_row(
+            table, task.name, task.machine.name, path, _place(task.start), f"{task.payload:g}", f"{task.duration:g}"
+        )
     show(console, table)
     say(console, "\nDetails: leanboom tasks NAME; plan one: leanboom plan NAME --out DIR")
 
@@ -191,7 +194,9 @@ def task_detail(console: Console, task: Task) -> None:
     kind = "clamped cubic spline" if isinstance(path, Spline) else "straight lines, at rest at every point"
     say(console, f"Machine   {task.machine.name}")
     say(console, f"Payload   {task.payload:g} kg")
-    say(console, f"Start     {_start(task)}")
+    say(console, f"Start     {_place(task.start)}")
+    if task.end != "free":
+        say(console, f"End       {_place(task.end)}")
     say(console, f"Path      {kind}, {task.duration:g} s")
     console.print()
     if isinstance(path, Spline):
@@ -228,7 +233,9 @@ def _path_report(console: Console, task: Task, path: facts.PathFacts) -> None:
     low, high = path.start
     say(console, f"Path              {path.length:.2f} m in {task.duration:g} s, at most {path.fastest:.3g} m/s")
     say(console, f"Payload           {task.payload:g} kg")
-    say(console, f"Start             {_start(task)}; {low:.4f} m to {high:.4f} m of the extension cylinder can be")
+    say(
+        console, f"Start             {_place(task.start)}; {low:.4f} m to {high:.4f} m of the extension cylinder can be"
+    )
     for note in path.notes:
         say(console, f"Note              {note}")
 
@@ -266,5 +273,5 @@ def _heading(console: Console, name: str, description: str) -> None:
     console.print()
 
 
-def _start(task: Task) -> str:
-    return task.start if isinstance(task.start, str) else length(task.start)
+def _place(place: str | float) -> str:
+    return place if isinstance(place, str) else length(place)

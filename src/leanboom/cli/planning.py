@@ -10,6 +10,7 @@ import typer
 from leanboom.cli.terminal import (
     GRID,
     STEP,
+    End,
     Json,
     Progress,
     Pump,
@@ -46,6 +47,7 @@ def plan(
         ),
     ] = "dp",
     start: Start = None,
+    end: End = None,
     grid: Annotated[
         str, typer.Option(metavar="PxV", help="Positions and velocities of the extension on the coarse grid.")
     ] = GRID,
@@ -84,7 +86,7 @@ def plan(
     from leanboom.io import loading
     from leanboom.report import run_folder
 
-    asked = loading.load_task(task, start=start)
+    asked = loading.load_task(task, start=start, end=end)
     from dataclasses import replace
 
     from leanboom.certificate import certificate
@@ -129,6 +131,7 @@ def certify(
     task: Task,
     pump: Pump = "ls",
     start: Start = None,
+    end: End = None,
     step: Step = STEP,
     seconds: Annotated[
         str,
@@ -148,7 +151,7 @@ def certify(
 
     limit, least = duration("seconds", seconds), percent("gap", gap)
     certificate.check(pump, stage, limit, least)
-    asked = loading.load_task(task, start=start)
+    asked = loading.load_task(task, start=start, end=end)
     with Progress() as tell:
         result = planner.run(asked, pump=pump, step=stage, baseline=False, progress=tell)
         proof = certificate.certify(

@@ -50,6 +50,14 @@ Start = Annotated[
         "By default what the task says.",
     ),
 ]
+End = Annotated[
+    str | None,
+    typer.Option(
+        metavar="WHERE",
+        help="Where the extension ends: free, same (a closed cycle), smallest, middle, or a length. "
+        "By default what the task says.",
+    ),
+]
 Step = Annotated[str, typer.Option(metavar="TIME", help="Length of a stage, in seconds.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
 

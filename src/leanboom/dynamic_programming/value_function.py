@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any
 
@@ -67,6 +67,7 @@ class Policy:
     tables: Tables
     setting: np.ndarray  # kernels' scalars, (layout.SETTINGS,)
     values: np.ndarray  # cost to go, float32, (stages + 1, positions, velocities)
+    end: float | None = None  # where motions end [m]; None: anywhere
 
     def control(self, time: float, position: float, velocity: float) -> float:
         """The best acceleration of the redundant cylinder from any state on the way, by one-step look-ahead.
@@ -118,7 +119,9 @@ class Policy:
         )  # fmt: skip
         rest = _motion(problem, c[stage:], w[stage:], u[stage:], "dp", self.cost, lead=lead if share > 0.0 else None)
         since = problem.step * (stage + share)
-        return safe_stop.resume(problem.task, since, rest)
+        if self.end is None:
+            return safe_stop.resume(problem.task, since, rest)
+        return safe_stop.resume(replace(problem.task, end=self.end), since, motion.ending_at(rest, self.end))
 
     def _locate(self, time: float, position: float, velocity: float) -> tuple[int, float]:
         """Stage that a time belongs to, and the share of it gone; InputError for what the grid does not hold."""
@@ -215,7 +218,9 @@ def sizes(grid: object, step: object, stage: ranges.Range, problems: list[str]) 
     return found[0], found[1]
 
 
-def solve(problem: Problem, grid: Grid, cost: str, terminal: Terminal | None = None) -> Policy:
+def solve(
+    problem: Problem, grid: Grid, cost: str, terminal: Terminal | None = None, end: float | None = None
+) -> Policy:
     """The `Policy` of a problem and a cost, by a backward sweep over a grid.
 
     Args:
@@ -223,6 +228,7 @@ def solve(problem: Problem, grid: Grid, cost: str, terminal: Terminal | None = N
         grid: Position and velocity nodes of every stage.
         cost: A name of `costs.COSTS`.
         terminal: What a position and a velocity at the last stage cost; None: the path ends at rest.
+        end: Where it ends at rest [m]; None: anywhere.
 
     Returns:
         The policy over that grid.
@@ -233,9 +239,13 @@ def solve(problem: Problem, grid: Grid, cost: str, terminal: Terminal | None = N
     last = table.stage[-1]
     c = last[layout.C_LO] + last[layout.DC] * np.arange(grid.positions)
     w = last[layout.W_LO] + last[layout.DW] * np.arange(grid.velocities)
-    ends = steep[1] * np.abs(w) if terminal is None else terminal(c[:, None], w[None, :])
-    end = np.array(np.broadcast_to(ends, (grid.positions, grid.velocities)), order="C")
-    return Policy(problem, cost, grid, table, setting, sweep(table, setting, end))
+    if terminal is None:
+        off = np.zeros_like(c) if end is None else np.abs(c - end)
+        ends = steep[0] * off[:, None] + steep[1] * np.abs(w)[None, :]
+    else:
+        ends = terminal(c[:, None], w[None, :])
+    final = np.array(np.broadcast_to(ends, (grid.positions, grid.velocities)), order="C")
+    return Policy(problem, cost, grid, table, setting, sweep(table, setting, final), end)
 
 
 def sweep(table: Tables, setting: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -288,7 +298,8 @@ def rollout(policy: Policy, start: float, method: str = "dp", velocity: float = 
         table.coefficients, table.outside, table.stage, table.cylinder, policy.setting, policy.values,
         np.array([start, velocity]), 0, positions, velocities, control,
     )  # fmt: skip
-    return _motion(problem, positions, velocities, control, method, policy.cost)
+    moved = _motion(problem, positions, velocities, control, method, policy.cost)
+    return moved if policy.end is None else motion.ending_at(moved, policy.end)
 
 
 def _motion(

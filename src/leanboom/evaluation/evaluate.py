@@ -206,7 +206,7 @@ def _evaluate(task: Task, motion: Motion) -> Evaluation:
         acceleration=rows["acceleration"],
     )
     use = limit_checks.used(machine, course)
-    violations = limit_checks.violations(machine, motion, course, use)
+    violations = limit_checks.violations(machine, motion, course, use) + limit_checks.unended(task, c, w)
     if not (exists or violations):
         violations = ("a linkage does not close, or has no torque arm, somewhere on the way",)
     if motion.status.kind is Kind.UNCONVERGED:  # no result, whatever it keeps

@@ -14,9 +14,11 @@ from leanboom.components.paths import Path, approaches
 from leanboom.formulas import kinematics
 from leanboom.model.machine import Machine
 from leanboom.model.motion import Motion
+from leanboom.model.task import Task
 
 TOLERANCE = 1.001  # a limit used above this counts as violated
 PATH_TOLERANCE = 1e-4  # [m], tool path error that counts as leaving the path
+END_TOLERANCE, REST_TOLERANCE = 1e-4, 1e-4  # [m], [m/s]: of the redundant cylinder's end, and of its rest there
 BEYOND = 1e6  # values in sentences that are larger are given by their order of magnitude
 LOOKS = 20  # times at which a short segment is looked at; among them a quintic's largest velocity and acceleration
 INSIDE = 1e-7  # [s], how far inside its ends the one-sided values of a segment are taken
@@ -128,6 +130,25 @@ def violations(machine: Machine, motion: Motion, course: Course, use: tuple[Rows
                 found.append((shares[j][i], sentence))
     beyond = tuple(sentence for _, sentence in sorted(found, key=lambda item: -item[0]))
     return (*_off_path(motion, course), *beyond) or tuple(_contradictions(machine, course))
+
+
+def unended(task: Task, position: np.ndarray, velocity: np.ndarray) -> tuple[str, ...]:
+    """Where a motion does not end as its task asks: one sentence each, worst first; nothing where more is to follow.
+
+    Args:
+        task: The task; the ends `smallest` and `middle` are lengths once a task is planned.
+        position, velocity: Of the redundant cylinder, at rising times [m], [m/s].
+    """
+    found = []
+    if task.end != "free" and task.whole:
+        wanted = float(position[0]) if task.end == "same" else task.end
+        if isinstance(wanted, float) and abs(position[-1] - wanted) > END_TOLERANCE:
+            found.append(
+                f"the extension ends at {position[-1]:.4f} m, and must end at {wanted:.4f} m (end: {task.end})"
+            )
+    if task.whole and abs(velocity[-1]) > REST_TOLERANCE:
+        found.append(f"the extension still moves by {velocity[-1]:.4f} m/s at the end, and must be at rest")
+    return tuple(found)
 
 
 def _off_path(motion: Motion, course: Course) -> tuple[str, ...]:

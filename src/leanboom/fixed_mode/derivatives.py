@@ -90,6 +90,7 @@ class Program(NamedTuple):
     sensing: bool  # whether the highest demanded pressure adds to the supply
     work: bool  # whether positive work counts
     free_start: bool
+    fixed_end: bool  # whether the last position is that of the guess
     table: np.ndarray  # (stages + 1, positions, cylinders, COEFFICIENTS)
     first: np.ndarray  # first position of the table [m], (stages + 1,)
     last: np.ndarray

@@ -145,6 +145,8 @@ def eliminate(program, place, value, multiplier, barrier, shift, work):
             if not auu > 0.0:
                 return False, 0.0
             gain_c, gain_w, push = -auc / auu, -auw / auu, -au / auu
+            if k == stages - 2 and program.fixed_end:  # the last two controls lead to the end, at rest
+                gain_c, gain_w, push = -1.0 / (ts * ts), -1.5 / ts, 0.0
         out.gain[k, 0], out.gain[k, 1], out.push[k] = gain_c, gain_w, push
         ac, aw = ac + auc * push + gain_c * (au + auu * push), aw + auw * push + gain_w * (au + auu * push)
         acc, awc, aww = (

@@ -138,7 +138,12 @@ def _force(problem: Problem, seed: Motion, end: int, sign: np.ndarray) -> np.nda
 
 
 def solve(
-    polisher: Polisher, seed: Motion, switches: Modes, free_start: bool = False, share: tuple[float, float] = (1.0, 1.0)
+    polisher: Polisher,
+    seed: Motion,
+    switches: Modes,
+    free_start: bool = False,
+    share: tuple[float, float] = (1.0, 1.0),
+    fixed_end: bool = False,
 ) -> tuple[Motion | None, str]:
     """Solution of the fixed-mode program from a seed: the polished motion.
 
@@ -149,13 +154,14 @@ def solve(
         free_start: Whether the start may move inside its feasible interval (start kind `best`).
         share: Parts of the cylinders' velocity and acceleration limits that may be used at the ends of the intervals;
             less than 1 leaves room for what happens between them.
+        fixed_end: Whether the motion ends where the seed does.
 
     Returns:
         The polished motion and how the solver ended; no motion where it did not converge.
     """
     problem = polisher.problem
     mode = _mode_parameters(polisher, switches)
-    stated = _program(polisher, seed, switches, mode, free_start, share)
+    stated = _program(polisher, seed, switches, mode, free_start, share, fixed_end)
     guess = _guess(polisher, seed, switches, mode)
     unit = derivatives.MILLI * cost_scale.energy_scale(problem, polisher.cost)
     answer, solved, count = interior_point.minimise(stated, guess, BARRIER * unit, LAST_BARRIER * unit, ITERATIONS)
@@ -168,7 +174,13 @@ def solve(
 
 
 def _program(
-    polisher: Polisher, seed: Motion, switches: Modes, mode: np.ndarray, free_start: bool, share: tuple[float, float]
+    polisher: Polisher,
+    seed: Motion,
+    switches: Modes,
+    mode: np.ndarray,
+    free_start: bool,
+    share: tuple[float, float],
+    fixed_end: bool = False,
 ) -> derivatives.Program:
     """The `Program` for given modes, which bound speeds; limits that cannot change are left out."""
     problem = polisher.problem
@@ -193,6 +205,8 @@ def _program(
     counts.node[[0, -1], -2:] = False  # at rest
     if not free_start:
         counts.node[0] = False
+    if fixed_end:
+        counts.node[-1] = False
     counts.end[:, 1, 2 * n - 2 : 2 * n] = False  # the control is the same at both ends
     asked = (mode[:, :, derivatives.ALPHA] != 0.0) & polisher.pressures | (mode[:, :, derivatives.BETA] != 0.0)
     counts.end[:, :, 2 * n : 3 * n] = np.moveaxis(asked, 0, 1) & polisher.loads
@@ -207,9 +221,9 @@ def _program(
     ]  # fmt: skip
     supply, shaft = supply_of(machine.pump, terms.supply)
     return derivatives.Program(
-        problem.step, polisher.pressures, terms.work, free_start, polisher.coefficients, problem.lower, _last(problem),
-        polisher.coulomb, np.array(feasible_strokes.stroke_range(problem.task)), low, high, mode, pressure * MEGA,
-        flow * LITRE, np.array(constants), np.array([MEGA * supply, *shaft.in_kilowatts()]), counts,
+        problem.step, polisher.pressures, terms.work, free_start, fixed_end, polisher.coefficients, problem.lower,
+        _last(problem), polisher.coulomb, np.array(feasible_strokes.stroke_range(problem.task)), low, high, mode,
+        pressure * MEGA, flow * LITRE, np.array(constants), np.array([MEGA * supply, *shaft.in_kilowatts()]), counts,
     )  # fmt: skip
 
 
@@ -266,7 +280,7 @@ def prepare() -> None:
     counts = derivatives.limits(np.zeros(derivatives.empty_limits(count, n).every.size, dtype=np.bool_), count, n)
     table = np.zeros((count + 1, POSITIONS, n, layout.COEFFICIENTS))
     stated = derivatives.Program(
-        1.0, False, False, False, table, node, node + 1.0, np.zeros((n, 2)), np.arange(2.0), limit, limit,
+        1.0, False, False, False, False, table, node, node + 1.0, np.zeros((n, 2)), np.arange(2.0), limit, limit,
         np.zeros((2, count, 4, n)), node, node, np.zeros((5, n)), pump, counts,
     )  # fmt: skip
     interior_point.minimise(stated, derivatives.empty_point(count, n), 1.0, 1.0, 0)

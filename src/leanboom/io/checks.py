@@ -18,7 +18,7 @@ from leanboom.components.pumps import EfficiencyMap, Pump
 from leanboom.io.schema import AREAS, SIZE_KEYS, BodyKeys, CylinderKeys
 from leanboom.io.yaml_source import Data, Key, Source
 from leanboom.model.machine import JOINTS, AngleRange, LengthRange, Machine
-from leanboom.model.task import Start, faults
+from leanboom.model.task import End, Start, faults
 from leanboom.quantities.declarations import Section, Variant
 from leanboom.quantities.types import Cutoff
 from leanboom.quantities.units import is_bare
@@ -213,6 +213,10 @@ def check_task(source: Source, machine: Machine | None) -> None:
     if machine is None:
         return
     made = _part(Annotated[Any, Variant(PATHS)], data.get("path"))
-    start, smooth = _part(Start, data.get("start")), _part(Cutoff, data.get("smooth"))
-    for key, _, what in faults(made, machine, "middle" if start is None else start, smooth):
+    start, end, smooth = (
+        _part(kind, data.get(key)) for kind, key in ((Start, "start"), (End, "end"), (Cutoff, "smooth"))
+    )
+    for key, _, what in faults(
+        made, machine, "middle" if start is None else start, "free" if end is None else end, smooth
+    ):
         source.refuse(key, what)

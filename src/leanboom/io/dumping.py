@@ -58,6 +58,7 @@ def task_text(task: Task, machine: str) -> str:
         "payload": task.payload,
         "path": Variant(PATHS).section_of(path).data(path),
         "start": task.start,
+        "end": task.end,
         "smooth": task.smooth,
     }
     return _text(Section(TaskKeys), data, f"task {task.name}", {})

@@ -54,13 +54,14 @@ def load_machine(name_or_path: str | Path) -> Machine:
     return _machine(source, path)
 
 
-def load_task(name_or_path: str | Path, *, start: str | float | None = None) -> Task:
+def load_task(name_or_path: str | Path, *, start: str | float | None = None, end: str | float | None = None) -> Task:
     """Load a task and its machine.
 
     Args:
         name_or_path: Name of a bundled task, or a task file.
         start: In place of the file's `start`: "smallest", "middle", "best", or a length of the redundant cylinder
             ("0.3 m", or a number in [m]).
+        end: In place of the file's `end`: "free", "same", "smallest", "middle", or a length.
 
     Returns:
         The task, in SI units.
@@ -85,6 +86,7 @@ def load_task(name_or_path: str | Path, *, start: str | float | None = None) -> 
         path=keys.path,
         payload=keys.payload,
         start=keys.start if start is None else start,
+        end=keys.end if end is None else end,
         smooth=keys.smooth,
         source=source.text,
     )

@@ -128,4 +128,5 @@ class TaskKeys:
     payload: Any
     path: Any
     start: Any
+    end: Any = "free"
     smooth: Any = None

@@ -24,6 +24,7 @@ from leanboom.fixed_mode import modes
 from leanboom.fixed_mode.modes import Modes, Polisher
 from leanboom.methods import pseudo_inverse
 from leanboom.methods.registry import EFFORTS, Effort, Settings
+from leanboom.model import motion
 from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import feasible_strokes, stages, starts
@@ -153,7 +154,8 @@ class Search:
         while True:
             self.tell(f"coarse dynamic program, velocities up to {self.span:.3g} m/s", 0.05)
             grid = grids.full_grid(problem, *nodes, self.span)
-            policy = value_function.solve(problem, grid, self.cost)
+            end = starts.end_position(problem, self.task.end, start)
+            policy = value_function.solve(problem, grid, self.cost, end=end)
             if self.effort.minima > 1:
                 self.tell("local minima", 0.2)
                 most = self.effort.most(problem.stages, self.loads)
@@ -182,11 +184,12 @@ class Search:
         chain: Evaluation | None = None
         for level in levels:
             self.tell(f"tubes of 1/{2**level} width", 0.3 + 0.1 * level)
-            at = stages.on_stages(problem, seed if chain is None else chain.motion)
+            at = self.ended(problem, seed if chain is None else chain.motion)
             half = 0.5**level
             widths = half * WIDTH * (high - low), half * SPREAD * self.span
             tube = grids.tube_grid(problem, at.position, at.velocity, *widths, *self.nodes(problem, level))
-            policy = value_function.solve(problem, tube, self.cost)
+            end = starts.end_position(problem, self.task.end, start)
+            policy = value_function.solve(problem, tube, self.cost, end=end)
             moved = value_function.rollout(policy, value_function.best_start(policy) if start is None else start)
             found = self.judge(moved, f"tube of {widths[0]:.4f} m, {widths[1]:.4f} m/s")
             if self.promises(found, chain):
@@ -314,13 +317,13 @@ class Search:
             polisher = self._polishers[problem.stages] = modes.build(problem, self.cost)
         best: Evaluation | None = None
         for _ in range(rounds if self.loads else 1):  # without loads no modes, no second round
-            at = stages.on_stages(problem, seed)
+            at = self.ended(problem, seed)
             switches = modes.modes(polisher, at)
             if self.loads and any(switches.same_as(known) for known in self._polished):
                 break
             self._polished.append(switches)
             with np.errstate(all="ignore"):  # a seed out of reach has no numbers there
-                answer, text = modes.solve(polisher, at, switches, free)
+                answer, text = modes.solve(polisher, at, switches, free, fixed_end=self.task.end != "free")
             if answer is None:
                 self.note(f"polish: {text}")
                 break
@@ -343,12 +346,19 @@ class Search:
         """Polish again with limits tightened by what a polished motion broke between the ends of its intervals."""
         use = judged.limit_use
         share = min(1.0, ROOM / use.velocity), min(1.0, ROOM / use.acceleration)
-        answer, text = modes.solve(polisher, judged.motion, switches, free, share)
+        fixed = self.task.end != "free"
+        answer, text = modes.solve(polisher, judged.motion, switches, free, share, fixed)
         if answer is None:
             return judged
         found = self.judge(answer, f"polish with tightened limits ({text})")
         self.tightened = found if self.best is found else self.tightened
         return found
+
+    def ended(self, problem: Problem, seed: Motion) -> Motion:
+        """A motion on a problem's stages that ends where the task asks."""
+        at = stages.on_stages(problem, seed)
+        end = starts.end_position(problem, self.task.end, float(at.position[0]))
+        return at if end is None else motion.ending_at(at, end)
 
     def polish_alone(self) -> Evaluation:
         """The polish from the pseudo-inverse: nonlinear programming without the dynamic program."""

@@ -73,6 +73,7 @@ class Method:
     compared: tuple[str, ...] | None = None  # costs that comparisons minimise; None: those of the pumps looked at
     pointwise: bool = False  # minimises its one cost at every instant, whatever is asked for
     free_start: bool = False  # finds the start by itself, and a task may ask for the best one
+    ends: bool = False  # leads the redundant cylinder to the end that a task asks for
     exhaustive: bool = False  # looks at all feasible extensions: where it fails, a proof is worth looking for
     slow: bool = False  # takes minutes; compared on request alone
     weight: float = 1.0  # how long it takes, roughly, beside others: the longest go first
@@ -107,12 +108,12 @@ METHODS: Registry[Method] = Registry(
             "dynamic programming over all extensions, refined in tubes and polished",
             "leanboom.methods.dp_refined:plan",
             compared=("ls", "cp", "actuator", "velocity", "extension"),
-            free_start=True, exhaustive=True, weight=6.0, prepare=_KERNELS,
+            free_start=True, ends=True, exhaustive=True, weight=6.0, prepare=_KERNELS,
         ),
         "polish": Method(
             "nonlinear programming alone: the polish started from the pseudo-inverse",
             "leanboom.methods.dp_refined:plan_by_polish",
-            free_start=True, prepare=_KERNELS,
+            free_start=True, ends=True, prepare=_KERNELS,
         ),
         "pseudospectral": Method(
             "Legendre-Gauss-Radau collocation of the smoothed problem, bootstrapped",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -107,6 +107,19 @@ def from_velocities(step: float, start: float, velocity: np.ndarray, method: str
     acceleration = np.diff(velocity) / step
     moved = np.concatenate([[0.0], np.cumsum(0.5 * step * (velocity[1:] + velocity[:-1]))])
     return Motion(step, start + moved, velocity, acceleration, method, cost, **fields)
+
+
+def ending_at(moved: Motion, end: float) -> Motion:
+    """A motion led smoothly to another end [m], from its start: velocities change by a parabola over its time."""
+    if moved.position[-1] == end or moved.acceleration.size < 2:
+        return moved
+    steps = np.diff(moved.breaks)
+    share = moved.breaks / moved.duration
+    bump = share * (1.0 - share)
+    covered = np.sum(0.5 * steps * (bump[1:] + bump[:-1]))
+    velocity = moved.velocity + (end - moved.position[-1]) / covered * bump
+    position = moved.position[0] + np.concatenate([[0.0], np.cumsum(0.5 * steps * (velocity[1:] + velocity[:-1]))])
+    return replace(moved, position=position, velocity=velocity, acceleration=np.diff(velocity) / steps)
 
 
 def make(step, position, velocity, acceleration, method: str, cost: str, **fields) -> Motion:

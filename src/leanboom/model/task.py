@@ -22,15 +22,21 @@ from leanboom.quantities.units import KINDS, Kind, slip
 __all__ = ["Braking", "Lines", "Moved", "Part", "Path", "Reference", "Spline", "Start", "Task", "sample", "written"]
 
 STARTS = ("smallest", "middle", "best")
+ENDS = ("free", "same", "smallest", "middle")
 FILTERED = 0.02  # [s], the shortest path with enough samples for a low pass
 
 Key = tuple[str | int, ...]  # where a value is in a task file
 
 
-class _Start(Rule):
-    """A word of `STARTS`, or a length."""
+class _Place(Rule):
+    """A word, or a length."""
 
-    _allowed = f"must be {', '.join(STARTS)}, or a length of the redundant cylinder such as 0.3 m"
+    _words: tuple[str, ...] = ()
+
+    @property
+    def allowed(self) -> str:
+        """What a value must be."""
+        return f"must be {', '.join(self._words)}, or a length of the redundant cylinder such as 0.3 m"
 
     @property
     def kind(self) -> Kind:
@@ -39,7 +45,7 @@ class _Start(Rule):
 
     def check(self, value: Any) -> str | float:
         """The word, or a length [m]."""
-        if isinstance(value, str) and value in STARTS:
+        if isinstance(value, str) and value in self._words:
             return value
         try:
             return ranges.LEAST_LENGTH.number(value)
@@ -54,7 +60,20 @@ class _Start(Rule):
             raise InputError(f"{key} = {ranges.shown(value)}; {error}") from None
 
 
+class _Start(_Place):
+    """A word of `STARTS`, or a length."""
+
+    _words = STARTS
+
+
+class _End(_Place):
+    """A word of `ENDS`, or a length."""
+
+    _words = ENDS
+
+
 Start = Annotated[str | float, _Start()]
+End = Annotated[str | float, _End()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +88,8 @@ class Task:
     """Hangs at the machine's payload point."""
     start: Start = "smallest"
     """Where the redundant cylinder starts: smallest, middle, best, or a length."""
+    end: End = "free"
+    """Where it ends: free, same (as the start), smallest, middle, or a length."""
     smooth: Cutoff | None = None
     """Low-pass cut-off for the redundant motion before it is judged; none if not given."""
     source: str = field(default="", repr=False, compare=False)  # the file's text
@@ -79,7 +100,7 @@ class Task:
         if not isinstance(self.path, Path):
             raise InputError(f"path = {ranges.shown(self.path)}; must be a path such as leanboom.model.task.Lines")
         hold_declared(self, "")
-        if found := faults(self.path, self.machine, self.start, self.smooth):
+        if found := faults(self.path, self.machine, self.start, self.end, self.smooth):
             raise InputError(
                 "\n".join(f"{'.'.join(map(str, key))} = {ranges.shown(v)}; {what}" for key, v, what in found)
             )
@@ -89,23 +110,41 @@ class Task:
         """Time the path takes [s]."""
         return self.path.duration
 
+    @property
+    def whole(self) -> bool:
+        """Whether the task goes on to the end of its path, where the crane rests; not so where more is to follow."""
+        return not _cut_short(self.path)
+
     def __repr__(self) -> str:
         start = self.start if isinstance(self.start, str) else f"{self.start:g} m"
+        end = self.end if isinstance(self.end, str) else f"{self.end:g} m"
+        end = "" if end == "free" else f", end {end}"
         path = self.path
         points = f" through {len(path.points)} points" if isinstance(path, Lines | Spline) else ""
         return (
             f"Task({self.name}: {self.machine.name}, {type(path).__name__.lower()}{points} in {path.duration:g} s, "
-            f"payload {self.payload:g} kg, start {start}" + (f", smooth {self.smooth:g} Hz)" if self.smooth else ")")
+            f"payload {self.payload:g} kg, start {start}{end}"
+            + (f", smooth {self.smooth:g} Hz)" if self.smooth else ")")
         )
 
 
-def faults(path: Path | None, machine: Machine, start: Start, smooth: float | None) -> list[tuple[Key, object, str]]:
+def _cut_short(path: Path) -> bool:
+    """Whether a path is, or is made of, a part that ends before its path does."""
+    if isinstance(path, Part) and path.until < path.path.duration - ranges.MOMENT:
+        return True
+    return not isinstance(path, Lines | Spline) and not isinstance(path, Braking) and _cut_short(path.path)
+
+
+def faults(
+    path: Path | None, machine: Machine, start: Start, end: End, smooth: float | None
+) -> list[tuple[Key, object, str]]:
     """Contradictions in a task: keys of a file, their values, and what these must be.
 
     Args:
         path: The path; None if it is wrong in itself.
         machine: The machine.
         start: The start.
+        end: The end.
         smooth: Cut-off of the low pass [Hz]; None: none.
     """
     found: list[tuple[Key, object, str]] = []
@@ -113,8 +152,9 @@ def faults(path: Path | None, machine: Machine, start: Start, smooth: float | No
         flat = f"y must be 0, since machine {machine.name} does not slew"
         found += [(("path", "points", i), point, flat) for i, point in enumerate(path.points) if abs(point[1]) > 1e-9]
     longest = machine.redundant.stroke
-    if isinstance(start, float) and start > longest:
-        found.append((("start",), start, f"must be from 0 to {longest:.6g} m, the stroke of the extension cylinder"))
+    for key, place in (("start", start), ("end", end)):
+        if isinstance(place, float) and place > longest:
+            found.append(((key,), place, f"must be from 0 to {longest:.6g} m, the stroke of the extension cylinder"))
     if path is not None and smooth is not None and path.duration < FILTERED:
         found.append((("smooth",), smooth, f"needs a path of at least {FILTERED:g} s"))
     return found

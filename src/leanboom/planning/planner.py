@@ -20,7 +20,7 @@ from leanboom.components.costs import COSTS, PUMPS
 from leanboom.dynamic_programming import value_function
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.evaluation.evaluate import Evaluation, check_measurable, evaluate
-from leanboom.methods import pseudo_inverse
+from leanboom.methods import closed_cycle, pseudo_inverse
 from leanboom.methods.dp_refined import shortest_duration, stage_length
 from leanboom.methods.registry import EFFORTS, GRID, METHODS, STEP, Method, Settings
 from leanboom.model.motion import Motion
@@ -177,8 +177,13 @@ def run(
     settings = Settings(grid, step, effort, tuple(warm_start), proof.seek if proven else None)
     start = None if chosen.free_start else _start(task, method, step)
     minimised = chosen.costs[0] if chosen.pointwise and chosen.costs else cost
-    answer = chosen.plan(task, minimised, start, tell, settings)
-    best = evaluate(task, answer) if isinstance(answer, Motion) else answer
+    settled = starts.settled(task, step)
+    if task.start == "best" and task.end == "same":
+        cycle = closed_cycle.best_cycle(task, cost, grid, step, tell).motion
+        settled = replace(task, start=float(cycle.position[0]))
+        settings = replace(settings, seeds=(*settings.seeds, cycle))
+    answer = chosen.plan(settled, minimised, start, tell, settings)
+    best = evaluate(settled, answer) if isinstance(answer, Motion) else answer
     certified = proof.of(best.motion)
     solve_s = time.perf_counter() - began
     if best.feasible or not chosen.exhaustive:
@@ -189,7 +194,7 @@ def run(
     best = replace(best, motion=done)
     if not best.feasible:
         best = replace(best, violations=(status, *best.violations[1:]))
-    other = pseudo_inverse.baseline(task, float(done.position[0])) if baseline else None
+    other = pseudo_inverse.baseline(replace(task, end="free"), float(done.position[0])) if baseline else None
     tell("done", 1.0)
     found = Plan(task, pump, done, best, other, resources.peak_memory(), certified)
     if check and not best.feasible:
@@ -242,6 +247,9 @@ def _check(
     noted(problems, one_of, "effort", effort, EFFORTS)
     if chosen is not None and cost in COSTS and not chosen.minimises(cost):
         problems.append(f"method {method} minimises {' or '.join(chosen.costs or ())}, not {cost}")
+    if chosen is not None and task.end != "free" and not chosen.ends:
+        able = " or ".join(name for name in METHODS.names() if METHODS.find(name).ends)
+        problems.append(f"end = {task.end}; method {method} cannot lead the motion to an end: use {able}")
     nodes, length = value_function.sizes(grid, step, STAGE, problems)
     check_measurable(task, MOTIONS_AT_A_TIME)
     value_function.check_memory(stages.count(task.duration, length), *nodes)

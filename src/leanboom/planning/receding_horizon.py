@@ -136,6 +136,7 @@ def plan_receding(
     grid, step = _check(task, pump, horizon, every, grid, step)
     value_function.prepare()
     began = time.perf_counter()
+    task = starts.settled(task, step)
     count = stages.count(task.duration, step)
     step = task.duration / count
     ahead, often = max(2, round(horizon / step)), max(1, round(every / step))
@@ -180,10 +181,11 @@ def _plan(
     """The best motion found over the known stages `first` to `last` of `count`."""
     first, last, count = span
     until = task.duration if last == count else last * step
-    known = replace(task, path=Part(task.path, first * step, until), start="middle", smooth=None)
+    end = task.end if last == count else "free"
+    known = replace(task, path=Part(task.path, first * step, until), start="middle", end=end, smooth=None)
     problem = stages.discretise(known, step)
-    end = None if last == count else terminal_cost(problem, cost)
-    search = Search(problem, cost, position, velocity, end, TUBE)
+    terminal = None if last == count else terminal_cost(problem, cost)
+    search = Search(problem, cost, position, velocity, terminal, TUBE)
     best = search.refine(search.solve(grids.full_grid(problem, *grid)), LEVELS)
     if previous is None:
         return best

@@ -21,7 +21,7 @@ from leanboom.evaluation.safe_stop import Continuation
 from leanboom.model import motion
 from leanboom.model.motion import Motion
 from leanboom.model.task import Task
-from leanboom.problem import feasible_strokes, stages
+from leanboom.problem import feasible_strokes, stages, starts
 from leanboom.problem.stages import Problem
 from leanboom.quantities.ranges import Range, noted, one_of
 
@@ -46,6 +46,11 @@ class Search:
     terminal: value_function.Terminal | None = None  # what the end costs; None: the path ends at rest
     nodes: tuple[int, int] = TUBE  # positions and velocities of a tube
 
+    @property
+    def end(self) -> float | None:
+        """Where the task ends [m]; None: anywhere."""
+        return starts.end_position(self.problem, self.problem.task.end, None)
+
     def score(self, judged: Evaluation) -> tuple[bool, float, float, float]:
         """Sorting key, the best first: as `ranking.rank`, then by cost."""
         total = judged_cost(judged, self.cost)
@@ -56,7 +61,7 @@ class Search:
 
     def solve(self, grid: grids.Grid) -> Evaluation:
         """The motion of the dynamic program on a grid, judged."""
-        policy = value_function.solve(self.problem, grid, self.cost, self.terminal)
+        policy = value_function.solve(self.problem, grid, self.cost, self.terminal, self.end)
         return evaluate(self.problem.task, value_function.rollout(policy, self.position, velocity=self.velocity))
 
     def tube(self, around: Motion, half: float) -> Evaluation:
@@ -107,7 +112,7 @@ def replan(
     """
     grid, step = _check(task, time, position, velocity, pump, grid, step, around)
     try:
-        rest = safe_stop.rest(task, time)
+        rest = safe_stop.rest(starts.settled(task, step), time)
         problem = stages.discretise(rest, min(step, 0.5 * rest.duration))
         _check_position(problem, time, position)
         search = Search(problem, pump, position, velocity)
@@ -128,7 +133,7 @@ def replan(
 def _coarse(rest: Task, search: Search, step: float, grid: tuple[int, int]) -> Motion:
     """The motion of a coarse program over all feasible extensions, on the stages of the search."""
     problem = stages.discretise(rest, step)
-    policy = value_function.solve(problem, grids.full_grid(problem, *grid), search.cost)
+    policy = value_function.solve(problem, grids.full_grid(problem, *grid), search.cost, end=search.end)
     return stages.on_stages(search.problem, value_function.rollout(policy, search.position, velocity=search.velocity))
 
 
@@ -152,7 +157,8 @@ def track(search: Search, around: Motion | Continuation, since: float) -> Motion
     speed = w + 6.0 * (s * s - s) / lasts * off_c + (1.0 - s) * (1.0 - 3.0 * s) * off_w
     if search.terminal is None:
         speed[-1] = 0.0
-    return motion.from_velocities(problem.step, search.position, speed, "track", search.cost)
+    tracked = motion.from_velocities(problem.step, search.position, speed, "track", search.cost)
+    return tracked if search.end is None else motion.ending_at(tracked, search.end)
 
 
 def _check(task, time, position, velocity, pump, grid, step, around) -> tuple[tuple[int, int], float]:
