@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog, lsq_linear
 
+import saturation
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.evaluation.evaluate import evaluate
 from leanboom.io.loading import bundled_tasks, load_task
@@ -37,16 +38,14 @@ def areas(task):
     ],
 )
 def test_saturation_worked_by_hand(wanted, upper, velocity, scale):
-    found, s = pseudo_inverse.sns(np.ones((1, 3)), np.array([wanted]), -np.ones(3), np.array(upper))
+    found, s = saturation.sns(np.ones((1, 3)), np.array([wanted]), -np.ones(3), np.array(upper))
     np.testing.assert_allclose(found, velocity, atol=1e-12)
     assert s == pytest.approx(scale)
 
 
 def test_weights_by_hand():
     """Eq. (9): with one row of ones the velocities go as 1 / W."""
-    found, scale = pseudo_inverse.sns(
-        np.ones((1, 2)), np.array([3.0]), -9 * np.ones(2), 9 * np.ones(2), np.array([1, 2])
-    )
+    found, scale = saturation.sns(np.ones((1, 2)), np.array([3.0]), -9 * np.ones(2), 9 * np.ones(2), np.array([1, 2]))
     np.testing.assert_allclose(found, [2.0, 1.0])
     assert scale == 1.0
 
@@ -54,7 +53,7 @@ def test_weights_by_hand():
 def test_a_joint_saturated_too_early_is_freed_again():
     """Greedy saturation runs out of joints here, though [2, 3, 0] follows the task: 4-3+0 = 1, 4+6-0 = 10."""
     jacobian = np.array([[2.0, -1.0, 1.0], [2.0, 2.0, -1.0]])
-    found, scale = pseudo_inverse.sns(jacobian, np.array([1.0, 10.0]), np.array([-2, -1, -1]), np.array([2, 3, 3]))
+    found, scale = saturation.sns(jacobian, np.array([1.0, 10.0]), np.array([-2, -1, -1]), np.array([2, 3, 3]))
     np.testing.assert_allclose(found, [2.0, 3.0, 0.0], atol=1e-8)
     assert scale == pytest.approx(1.0)
 
@@ -68,7 +67,7 @@ def test_saturation_against_a_linear_programme(rng):
         jacobian, wanted = rng.normal(size=(rows, joints)), rng.normal(size=rows) * rng.uniform(0.1, 4.0)
         lower, upper = -rng.uniform(0.0, 1.0, joints), rng.uniform(0.1, 1.0, joints)
         weights = rng.uniform(0.2, 5.0, joints) if trial % 2 else None
-        velocity, scale = pseudo_inverse.sns(jacobian, wanted, lower, upper, weights)
+        velocity, scale = saturation.sns(jacobian, wanted, lower, upper, weights)
         largest = linprog(
             np.append(np.zeros(joints), -1.0),
             A_eq=np.hstack([jacobian, -wanted[:, None]]),
@@ -93,7 +92,7 @@ def test_least_norm_against_bounded_least_squares(rng):
         jacobian, weights = rng.normal(size=(2, 5)), rng.uniform(0.2, 5.0, 5)
         upper = rng.uniform(0.2, 1.0, 5)
         seed = rng.uniform(-upper, upper)
-        found = pseudo_inverse._least_norm(jacobian, -upper, upper, 1.0 / weights, seed)
+        found = saturation._least_norm(jacobian, -upper, upper, 1.0 / weights, seed)
         np.testing.assert_allclose(jacobian @ found, jacobian @ seed, atol=1e-9)
         system = np.vstack([1e4 * jacobian, np.diag(np.sqrt(weights))])
         oracle = lsq_linear(system, np.append(1e4 * jacobian @ seed, np.zeros(5)), (-upper, upper), tol=1e-13).x
@@ -112,12 +111,12 @@ def test_least_norm_against_bounded_least_squares(rng):
 def test_wrong_input_is_named(changes, message):
     good = {"jacobian": np.ones((1, 3)), "task_velocity": np.ones(1), "lower": -np.ones(3), "upper": np.ones(3)}
     with pytest.raises(InputError, match=message), np.errstate(divide="ignore"):
-        pseudo_inverse.sns(**(good | changes))
+        saturation.sns(**(good | changes))
 
 
 def test_a_box_without_an_answer_is_said():
     with pytest.raises(InfeasibleError, match="holds it still"):
-        pseudo_inverse.sns(np.ones((1, 2)), np.array([-1.0]), np.ones(2), 2.0 * np.ones(2))
+        saturation.sns(np.ones((1, 2)), np.array([-1.0]), np.ones(2), 2.0 * np.ones(2))
 
 
 @pytest.mark.parametrize("name", ["forwarder-vertical", "loader-triangle-large"])
@@ -140,7 +139,7 @@ def test_closed_form_equals_the_general_saturation(name, rng):
         if low >= high:
             continue
         free = pseudo_inverse.least_velocity(line, "actuator", *areas(task))
-        velocity, scale = pseudo_inverse.sns(jacobian, tool, -limit, limit)
+        velocity, scale = saturation.sns(jacobian, tool, -limit, limit)
         assert scale == pytest.approx(1.0)
         assert velocity[-1] == pytest.approx(min(max(free, low), high), abs=1e-9)
         clipped += not low < free < high
