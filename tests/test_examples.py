@@ -12,8 +12,8 @@ import pytest
 EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("*.py"))
 
 
-def test_there_are_ten_numbered_examples():
-    assert [path.name[:3] for path in EXAMPLES] == [f"{number:02d}_" for number in range(1, 11)]
+def test_examples_are_numbered():
+    assert [path.name[:3] for path in EXAMPLES] == [f"{number:02d}_" for number in range(1, 12)]
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)

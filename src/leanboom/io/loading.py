@@ -7,7 +7,7 @@ imported when a file is read, not before.
 
 from __future__ import annotations
 
-from collections.abc import Sized
+from collections.abc import Callable, Sized
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from leanboom.model.task import Task
 
 _FOLDER = Path(__file__).parents[1] / "data"
+_FOLDERS = {"machine": "machines", "task": "tasks", "library": "libraries"}  # of bundled files, by their kind
 _STRUCTURE = ("name", "description", "type", "carrier")  # words that need no provenance
 
 
@@ -32,6 +33,11 @@ def bundled_machines() -> tuple[str, ...]:
 def bundled_tasks() -> tuple[str, ...]:
     """Names of the tasks that come with leanboom."""
     return _bundled("tasks")
+
+
+def bundled_libraries() -> tuple[str, ...]:
+    """Names of the specifications of motion libraries that come with leanboom."""
+    return _bundled("libraries")
 
 
 def _bundled(folder: str) -> tuple[str, ...]:
@@ -90,6 +96,34 @@ def load_task(name_or_path: str | Path, *, start: str | float | None = None, end
         smooth=keys.smooth,
         source=source.text,
     )
+
+
+def load_keys(
+    kind: str, name_or_path: str | Path, made: type, check: Callable[[Source, Any, Machine], None]
+) -> tuple[str, Any, Machine, str]:
+    """A file that names a machine, read and checked as a whole.
+
+    Args:
+        kind: What it is, for messages and bundled names: "task" or "library".
+        name_or_path: Name of a bundled file, or a file.
+        made: The dataclass of its keys.
+        check: Notes what does not fit together, once the keys and the machine are right in themselves.
+
+    Returns:
+        Its name, its keys, its machine and its text.
+
+    Raises:
+        InputError: There is no such file, or it or its machine's file has problems; all of them are named.
+    """
+    path, source = _open(kind, name_or_path)
+    keys = _section(made, source)
+    machine, others = _machine_of(source, path.parent)
+    if keys is not None and machine is not None:
+        check(source, keys, machine)
+    name = _name(keys, source, path)
+    source.report(*others)
+    assert keys is not None and machine is not None  # else reported
+    return name, keys, machine, source.text
 
 
 def dump_machine(machine: Machine) -> str:
@@ -155,12 +189,12 @@ def _find(kind: str, wanted: str | Path, folder: Path) -> tuple[Path, str] | Non
     """File of a machine or task, and what to call it in messages; None if there is none.
 
     Args:
-        kind: "machine" or "task".
+        kind: One of `_FOLDERS`.
         wanted: Bundled name or path; a `Path` is never a bundled name.
         folder: What a relative path is relative to.
     """
-    if isinstance(wanted, str) and wanted in _bundled(f"{kind}s"):
-        return _FOLDER / f"{kind}s" / f"{wanted}.yaml", f"{wanted}.yaml"
+    if isinstance(wanted, str) and wanted in _bundled(_FOLDERS[kind]):
+        return _FOLDER / _FOLDERS[kind] / f"{wanted}.yaml", f"{wanted}.yaml"
     path = folder / wanted
     try:
         return (path, str(path)) if path.is_file() else None
@@ -171,7 +205,7 @@ def _find(kind: str, wanted: str | Path, folder: Path) -> tuple[Path, str] | Non
 def _choices(kind: str, wanted: str) -> str:
     from leanboom.quantities.rules import suggestion
 
-    return f"must be a file or a bundled {kind}: {suggestion(wanted[:200], _bundled(f'{kind}s'))}"
+    return f"must be a file or a bundled {kind}: {suggestion(wanted[:200], _bundled(_FOLDERS[kind]))}"
 
 
 def _machine(source: Source, path: Path) -> Machine:

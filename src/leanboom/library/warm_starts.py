@@ -1,0 +1,162 @@
+"""Planning of neighbours: a sweep's tasks begin with motions of each other, and with those of a neighbouring sweep.
+
+The first of a family is planned as `plan` does. For every further sweep one dynamic program on a coarser grid serves
+all starts of the redundant cylinder; its motions and the neighbours', carried over, are refined in tubes, polished and
+put on shorter stages by the same search. Where that finds nothing feasible the whole search is run: a motion is never
+called infeasible because of a short cut.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from leanboom.dynamic_programming import grids, value_function
+from leanboom.dynamic_programming.value_function import Policy
+from leanboom.errors import LeanboomError
+from leanboom.evaluation.evaluate import Evaluation
+from leanboom.library.specification import Sweep
+from leanboom.methods import pseudo_inverse
+from leanboom.methods.dp_refined import FIRST_LEVELS, NARROW, Search
+from leanboom.methods.registry import EFFORTS, GRID, STEP, Effort
+from leanboom.model import motion
+from leanboom.model.motion import Motion
+from leanboom.model.task import Task
+from leanboom.problem import stages, starts
+from leanboom.problem.stages import Problem
+
+COARSE = (61, 31)  # nodes of the program that serves all starts; energies stay within 0.2 %, see docs/library.md
+WARM = Effort(minima=1, stages=0, share=0.0, leading=1, shortest=2)
+LED_OVER = 0.4  # share of a motion over which a neighbour's is led over from another start
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What became of a task: all of it that is stored."""
+
+    start_m: float | None  # where the redundant cylinder starts [m]; None where there is no motion
+    solved: bool
+    status: str
+    energy_j: float | None  # of the pump that it is planned for; None where the crane cannot make the motion
+    pseudo_inverse_j: float | None  # what the pseudo-inverse takes from the same start; None where it cannot
+    solve_s: float
+    motion: Motion | None  # where it is solved
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """A task with a motion that solves it."""
+
+    task: Task
+    motion: Motion
+
+
+def plan_sweep(sweep: Sweep, neighbours: Sequence[Known]) -> tuple[Result, ...]:
+    """Plan all tasks of a sweep.
+
+    Args:
+        sweep: The tasks and their pump.
+        neighbours: Motions of neighbouring tasks, along the same line; none: the sweep is the first of its family.
+
+    Returns:
+        The results, in the order of the tasks.
+    """
+    found: list[Result] = []
+    near = list(neighbours)
+    policy: Policy | None = None
+    for task in sweep.tasks:
+        began = time.perf_counter()
+        try:
+            if near:
+                policy = policy or _policy(task, sweep.pump)
+                best = _warm(task, sweep.pump, policy, _nearest(task, near))
+            else:
+                best = _whole(task, sweep.pump)
+            if not best.feasible and near:
+                best = _whole(task, sweep.pump)
+        except LeanboomError as error:
+            found.append(Result(None, False, str(error), None, None, time.perf_counter() - began, None))
+            continue
+        found.append(_result(task, sweep.pump, best, began))
+        if best.feasible:
+            near.append(Known(task, best.motion))
+    return tuple(found)
+
+
+def _result(task: Task, pump: str, best: Evaluation, began: float) -> Result:
+    status = best.status_with(pump)
+    first = float(best.motion.position[0])
+    other = pseudo_inverse.baseline(task, first, STEP)
+    return Result(
+        start_m=first,
+        solved=status.solved,
+        status=str(status),
+        energy_j=best.energy(pump) if best.followed else None,
+        pseudo_inverse_j=None if other is None else other.energy(pump),
+        solve_s=time.perf_counter() - began,
+        motion=replace(best.motion, method="dp", log=()) if status.solved else None,
+    )
+
+
+def _whole(task: Task, pump: str) -> Evaluation:
+    """The best motion by the whole search."""
+    return Search(task, pump, GRID, STEP, EFFORTS["default"]).run()
+
+
+def _policy(task: Task, pump: str) -> Policy:
+    """The coarse program that serves all starts of a task, with velocities as far as its motions use them."""
+    problem = stages.discretise(task, Search(task, pump, COARSE, STEP, WARM).step)
+    limit, span = task.machine.redundant.velocity_limit, problem.pace
+    while True:
+        policy = value_function.solve(problem, grids.full_grid(problem, *COARSE, span), pump)
+        ends = (value_function.rollout(policy, float(end[0])) for end in (problem.lower, problem.upper))
+        if span >= limit or max(float(np.abs(each.velocity).max()) for each in ends) < NARROW * span:
+            return policy
+        span = min(limit, 2.0 * span)
+
+
+def _warm(task: Task, pump: str, policy: Policy, near: Sequence[Known]) -> Evaluation:
+    """The best motion around that of a coarse program and around neighbours'."""
+    problem = replace(policy.problem, task=task)
+    search = Search(task, pump, COARSE, STEP, WARM)
+    search.span = float(policy.grid.w_hi[0])
+    start = starts.start_position(problem, task.start)
+    first = value_function.best_start(policy) if start is None else start
+    seeds = [value_function.rollout(policy, first)]
+    seeds += [carried_over(each, problem, start) for each in near]
+    found = [search.descend(problem, seed, start, FIRST_LEVELS) for seed in seeds]
+    search.lead(problem, found, start)
+    search.finer_stages(start)
+    return search.known_best()
+
+
+def _nearest(task: Task, near: Sequence[Known]) -> list[Known]:
+    """The neighbours to begin with: the latest of this sweep, and of others that from the same start."""
+    same_start = [each for each in near if each.task.start == task.start]
+    chosen = (same_start or list(near))[:1]
+    return chosen + [each for each in near[-1:] if each not in chosen]
+
+
+def carried_over(known: Known, problem: Problem, start: float | None) -> Motion:
+    """A neighbour's motion on another problem's stages: the same shares of the feasible extensions.
+
+    Args:
+        known: The neighbour.
+        problem: The other problem.
+        start: Where its redundant cylinder starts [m]; None: as the neighbour's.
+    """
+    theirs = stages.discretise(known.task, known.motion.step)
+    span = np.maximum(theirs.upper - theirs.lower, 1e-9)
+    share = np.clip((known.motion.position - theirs.lower) / span, 0.0, 1.0)
+    at = np.linspace(0.0, 1.0, problem.stages + 1)
+    share = np.interp(at, np.linspace(0.0, 1.0, share.size), share)
+    position = problem.lower + share * (problem.upper - problem.lower)
+    first = float(position[0]) if start is None else start
+    led = (1.0 - np.minimum(at / LED_OVER, 1.0)) ** 3
+    position = np.clip(position + led * (first - position[0]), problem.lower, problem.upper)
+    velocity = np.gradient(position, problem.step)
+    velocity[[0, -1]] = 0.0
+    return motion.from_velocities(problem.step, first, velocity, known.motion.method, known.motion.cost)
