@@ -1,7 +1,6 @@
 """Masses, centres of mass, inertias and friction from chamber pressures and joint motions: eq. (16), Appendix B.
 
-Forces are linear in moments of mass: for each body m, m x, m h, m x^2, m h^2, m x h and J. Their columns are the model's own
-formulas at bodies of unit mass. The bodies' values are found by bounded least squares through these moments, so that
+The bodies' values are found by bounded least squares through the moments of mass in which forces are linear, so that
 no mass or inertia can become negative; what forces can tell of them are the base parameters, sums over bodies.
 Cylinders at rest are left out: friction takes any value there.
 """
@@ -14,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leanboom.formulas import dynamics
-from leanboom.identification.conditioning import Data
-from leanboom.identification.estimates import KNOWN, Estimate, Fit, blocks_of, compare, covariance
+from leanboom.identification.base_parameters import BASE, Motion, base_map, condition, moment_columns, moments
+from leanboom.identification.estimates import KNOWN, Estimate, Fit, blocks_of, compare, covariance, kept
+from leanboom.identification.logs.conditioning import Data
 from leanboom.model import crane as cranes
 from leanboom.model.crane import Crane
 from leanboom.model.machine import Body, Machine
@@ -30,29 +30,6 @@ STEP_TRAVEL = 1.0  # [m], extensions that travel less do not show friction steps
 KNOTS, FINE_KNOTS = 0.1, 0.01  # [m], of the free friction profile, and of the one that stands for steps
 STEP_CHANGE = 1e-3  # [m], for derivatives
 WORTH = 0.97  # steps are kept if they leave less than this share of the extension's residual
-MOMENTS = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (1.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # fmt: skip
-
-BASE = {  # what each base parameter is, and which motion tells it
-    "gravity.lift.along": ("kg m", "move the lift over its range at both ends of the extension"),
-    "gravity.lift.above": ("kg m", "move the lift over its whole range, low and high"),
-    "gravity.tilt.along": ("kg m", "move the tilt over its whole range"),
-    "gravity.tilt.above": ("kg m", "move the tilt until the outer boom hangs and stands out"),
-    "gravity.extension.mass": ("kg", "move the extension with the outer boom steep and level"),
-    "inertia.lift": ("kg m^2", "start and stop the lift quickly, extension in and out"),
-    "inertia.tilt": ("kg m^2", "start and stop the tilt quickly"),
-    "inertia.extension.along": ("kg m", "start and stop the tilt quickly at several extensions"),
-    "inertia.extension.above": ("kg m", "start and stop extension and tilt together"),
-    "inertia.extension.mass": ("kg", "start and stop the extension quickly"),
-}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Motion:
-    """Joints in motion, base first; arrays are (samples,)."""
-
-    q: tuple[np.ndarray, ...]
-    v: tuple[np.ndarray, ...]
-    a: tuple[np.ndarray, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,112 +84,6 @@ def motion_of(data: Data, machine: Machine, every: int) -> Motion:
             v.append(np.zeros(size))
             a.append(np.zeros(size))
     return Motion(tuple(q), tuple(v), tuple(a))
-
-
-def moment_columns(machine: Machine, bodies: Sequence[Body], motion: Motion) -> list[np.ndarray]:
-    """For each cylinder the force of every moment of mass, (samples, 7 x bodies), moments of a body beside each other.
-
-    Args:
-        machine: The machine.
-        bodies: Whose carrier and share of the extension count.
-        motion: The motion.
-    """
-    slewing = machine.geometry.slewing
-    boom = motion.q[-3:]
-    v = motion.v if slewing else (0.0 * motion.v[0], *motion.v)
-    a2, a3, a4 = motion.a[-3:]
-    arms = [c.linkage.length_arm_slope(q)[1] for c, q in zip(machine.cylinders, motion.q, strict=True)]
-    result: list[list[np.ndarray]] = [[] for _ in machine.cylinders]
-    for body in bodies:
-        values = []
-        for x, h, inertia in MOMENTS:
-            mass = 0.0 if inertia else 1.0
-            unit = _unit(body, mass, x, h, inertia)
-            crane = Crane(machine, (unit,), ())
-            m, g = cranes.inertia_and_gravity(crane, *boom)
-            swing = cranes.velocity_torques(crane, tuple(boom), tuple(v))
-            torque = [
-                m[0] * a2 + m[1] * a3 + m[2] * a4 + g[0] + swing[0],
-                m[1] * a2 + m[3] * a3 + m[4] * a4 + g[1] + swing[1],
-                m[2] * a2 + m[4] * a3 + m[5] * a4 + g[2] + swing[2],
-            ]
-            if slewing:
-                turning, change = cranes.slewing(crane, tuple(boom), tuple(motion.v[-3:]))
-                torque.insert(0, turning * motion.a[0] + change * motion.v[0])
-            values.append([t / arm + 0.0 * arm for t, arm in zip(torque, arms, strict=True)])
-        for i, columns in enumerate(result):
-            f0, f1, f2, f3, f4, f5, f6 = (value[i] for value in values)
-            mx, mh = 0.5 * (f1 - f2), 0.5 * (f3 - f4)
-            mxx, mhh = 0.5 * (f1 + f2) - f0, 0.5 * (f3 + f4) - f0
-            columns += [f0, mx, mh, mxx, mhh, f5 - f0 - mx - mh - mxx - mhh, f6]
-    return [np.stack(columns, axis=1) for columns in result]
-
-
-def _unit(body: Body, mass: float, x: float, h: float, inertia: float) -> Body:
-    """A body of unit moments; one of inertia alone has a mass too small to count."""
-    return replace(body, mass=mass or 1e-12, along=x, above=h, inertia=inertia)
-
-
-def moments(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Moments of bodies from mass, along, above and inertia, (7 x bodies,), and their derivatives.
-
-    Args:
-        values: Four a body, (4 x bodies,).
-    """
-    n = values.size // 4
-    found, slopes = np.zeros(7 * n), np.zeros((7 * n, 4 * n))
-    for i in range(n):
-        m, x, h, inertia = values[4 * i : 4 * i + 4]
-        rows, columns = slice(7 * i, 7 * i + 7), slice(4 * i, 4 * i + 4)
-        found[rows] = [m, m * x, m * h, m * x * x, m * h * h, m * x * h, inertia]
-        slopes[rows, columns] = np.array([
-            [1.0, x, h, x * x, h * h, x * h, 0.0],
-            [0.0, m, 0.0, 2.0 * m * x, 0.0, m * h, 0.0],
-            [0.0, 0.0, m, 0.0, 2.0 * m * h, m * x, 0.0],
-            [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
-        ]).T  # fmt: skip
-    return found, slopes
-
-
-def base_map(machine: Machine, bodies: Sequence[Body]) -> np.ndarray:
-    """Base parameters as sums of moments, (parameters, 7 x bodies), in the order of `BASE`.
-
-    Args:
-        machine: The machine.
-        bodies: Its bodies.
-    """
-    boom = machine.geometry.boom
-    rows = np.zeros((len(BASE), 7 * len(bodies)))
-    for i, body in enumerate(bodies):
-        m, mx, mh, mxx, mhh, _, inertia = range(7 * i, 7 * i + 7)
-        second = [mxx, mhh, inertia]
-        if body.carrier == "lift":
-            rows[0, mx] = rows[1, mh] = 1.0
-            rows[5, second] = 1.0
-        elif body.carrier == "tilt":
-            k = body.extension_share
-            rows[0, m], rows[5, m] = boom, boom * boom
-            rows[2, mx] = rows[3, mh] = 1.0
-            rows[6, second] = 1.0
-            rows[4, m], rows[7, mx], rows[8, mh], rows[9, m] = k, k, k, k * k
-    return rows
-
-
-def condition(columns: Sequence[np.ndarray], machine: Machine, bodies: Sequence[Body]) -> tuple[int, float]:
-    """Rank and condition number of the forces' dependence on the base parameters, each scaled by its size.
-
-    Args:
-        columns: `moment_columns`.
-        machine: The machine.
-        bodies: The bodies of the columns.
-    """
-    base = base_map(machine, bodies)
-    values = np.array([v for b in bodies for v in (b.mass, b.along, b.above, b.inertia)])
-    size = np.abs(base) @ np.abs(moments(values)[0])
-    told = size > 0.0
-    stacked = np.concatenate([block for block in columns[-3:] if block.size])
-    found = np.linalg.svd((stacked @ np.linalg.pinv(base))[:, told] * size[told], compute_uv=False)
-    return int((found > 1e-6 * found[0]).sum()), float(found[0] / max(found[-1], 1e-15 * found[0]))
 
 
 def fit(data: Data, machine: Machine) -> Forces | None:
@@ -363,7 +234,7 @@ class _Problem:
         if i == self.stepped:
             sign = sign * _hats(each.extension[used], self.knots)
         table = np.column_stack([each.columns[used], sign, each.velocity[used], each.force[used]])
-        return np.linalg.qr(table, mode="r")
+        return np.asarray(np.linalg.qr(table, mode="r"))
 
     def _residual(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         parts, slopes = [], []
@@ -386,7 +257,7 @@ class _Problem:
         parts.append((x - self._centre) / self._spread)
         slopes.append(np.diag(1.0 / self._spread))
         # As many rows as parameters say the same: the solver decomposes them at every step.
-        small = np.linalg.qr(np.column_stack([np.concatenate(slopes), np.concatenate(parts)]), mode="r")
+        small = np.asarray(np.linalg.qr(np.column_stack([np.concatenate(slopes), np.concatenate(parts)]), mode="r"))
         return small[:, -1], small[:, :-1]
 
     def solve(self) -> None:
@@ -433,7 +304,8 @@ class _Problem:
             x = np.concatenate([x[: self.start.size], self.steps])
         x = np.clip(x, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
         found = least_squares(
-            lambda y: self._residual(y)[0], x, jac=lambda y: self._residual(y)[1], bounds=(low, high),
+            lambda y: self._residual(y)[0], x, jac=lambda y: self._residual(y)[1],  # type: ignore[arg-type]
+            bounds=(low, high),
             x_scale=self._spread, max_nfev=60,
         )  # fmt: skip
         self.x = found.x
@@ -523,10 +395,7 @@ class _Problem:
             name = f"{each.joint}_force"
             fits.append(compare(name, each.force, model, each.training))
             series[name] = (each.time, each.force, model, each.training)
-        told = {e.name for e in estimates if e.identifiable}
-        return Forces(
-            self._machine(told), tuple(estimates), tuple(fits), series, rank, conditioned, related, self.negative
-        )
+        return Forces(self._machine(), tuple(estimates), tuple(fits), series, rank, conditioned, related, self.negative)
 
     def _names(self) -> list[str]:
         names = [f"bodies.{b.name}.{key}" for b in self.bodies for key in ("mass", "along", "above", "inertia")]
@@ -540,20 +409,25 @@ class _Problem:
         before = float(row @ (self._spread**2 * row))
         known = before > 0.0 and float(row @ posterior @ row) < KNOWN * before
         half = factor * float(np.sqrt(max(row @ variance @ row, 0.0)))
-        note = "" if known else (f"to tell it, {motion}" if motion else "only sums over bodies are told: see the base parameters")
+        note = (
+            ""
+            if known
+            else (f"to tell it, {motion}" if motion else "only sums over bodies are told: see the base parameters")
+        )
         low, high = (value - half, value + half) if known else (None, None)
         return Estimate(name, float(value), low, high, bool(known), note)
 
-    def _machine(self, told: set[str]) -> Machine:
+    def _machine(self) -> Machine:
+        values = [kept(value) for value in self.x.tolist()]
         bodies = tuple(
-            replace(b, **dict(zip(("mass", "along", "above", "inertia"), self.x[4 * i : 4 * i + 4].tolist(), strict=True)))
+            replace(b, **dict(zip(("mass", "along", "above", "inertia"), values[4 * i : 4 * i + 4], strict=True)))
             for i, b in enumerate(self.bodies)
         )
         cylinders = list(self.machine.cylinders)
         for i, each in enumerate(self.rows):
             friction = cylinders[each.cylinder].friction
-            coulomb, viscous = self.x[self.n + 2 * i : self.n + 2 * i + 2].tolist()
-            steps = tuple(self.steps.tolist()) if self.steps is not None and i == self.stepped else friction.steps
+            coulomb, viscous = values[self.n + 2 * i : self.n + 2 * i + 2]
+            steps = tuple(values[-4:]) if self.steps is not None and i == self.stepped else friction.steps
             if each.joint == "extension" and self.steps is None and np.ptp(each.extension) > STEP_TRAVEL:
                 steps = None
             friction = replace(friction, coulomb=coulomb, viscous=viscous, steps=steps)

@@ -50,6 +50,15 @@ class Fit:
         return {"rms": self.rms, "rms_percent": self.rms_percent}
 
 
+def kept(value: float) -> float:
+    """A value as a machine file keeps it: six digits, and nothing where it is next to nothing.
+
+    Args:
+        value: The value.
+    """
+    return 0.0 if abs(value) < 1e-9 else float(f"{value:.6g}")
+
+
 def compare(signal: str, measured: np.ndarray, model: np.ndarray, training: np.ndarray) -> Fit:
     """A fit's errors.
 
@@ -118,7 +127,9 @@ def interval_factor(freedom: int) -> float:
     return float(t.ppf(0.5 + 0.5 * CONFIDENCE, max(freedom, 3)))
 
 
-def linear_fit(columns: np.ndarray, values: np.ndarray, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def linear_fit(
+    columns: np.ndarray, values: np.ndarray, blocks: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Least squares of values on columns none of whose coefficients is below zero.
 
     Args:

@@ -112,7 +112,7 @@ class Spools:
         self.count = len(machine.cylinders) * (2 if self.separate else 1)
         self.delay = max(1, round(circuit.delay / step))  # samples; a controller's answer takes one
         self._dead_zone = circuit.dead_zone
-        self._advance, self._drive = _second_order(circuit.spool_bandwidth, step)
+        self._advance, self._drive = second_order(circuit.spool_bandwidth, step)
         self._state = np.zeros((2, self.count))  # travel, and its rate
 
     def move(self, command: np.ndarray) -> np.ndarray:
@@ -130,7 +130,7 @@ class Spools:
         return np.stack([into, out, out, into], axis=1).ravel()
 
 
-def _second_order(bandwidth: float, step: float) -> tuple[np.ndarray, np.ndarray]:
+def second_order(bandwidth: float, step: float) -> tuple[np.ndarray, np.ndarray]:
     """Exact sampled motion of a critically damped spool whose amplitude is down by 3 dB at a frequency [Hz]."""
     from scipy.linalg import expm
 

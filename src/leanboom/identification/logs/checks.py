@@ -12,8 +12,8 @@ import numpy as np
 
 from leanboom.components.cylinders import Connection
 from leanboom.errors import InputError
-from leanboom.identification.channels import kind_of
-from leanboom.identification.log_reading import Log
+from leanboom.identification.logs.channels import kind_of
+from leanboom.identification.logs.reading import Log
 from leanboom.model.machine import Machine
 from leanboom.quantities.units import parse
 
@@ -95,14 +95,14 @@ def _times(log: Log) -> list[Finding]:
     back = np.flatnonzero(steps <= 0.0)
     if back.size:
         at = ", ".join(f"from {log.time[i]:g} s to {log.time[i + 1]:g} s" for i in back[:LISTED])
-        text = f"{log.file}: time jumps back or stands still in {_rows(log, back + 1)} ({at}); sort it or cut the log there"
+        text = f"{log.file}: time jumps back or stands still in {_rows(log, back + 1)} ({at}); "
+        text += "sort it or cut the log there"
         return [Finding("time", "time", text, True)]
     period = float(np.median(steps))
     found = []
     for i in np.flatnonzero(steps > GAP * period)[:50]:
-        text = (
-            f"{log.file}: gap of {steps[i]:.3g} s after row {log.row(i)} ({log.time[i]:.3f} s); the parts are filtered apart"
-        )
+        text = f"{log.file}: gap of {steps[i]:.3g} s after row {log.row(i)} ({log.time[i]:.3f} s); "
+            "the parts are filtered apart"
         found.append(Finding("gap", "time", text, False))
     return found
 
@@ -150,7 +150,8 @@ def _units(log: Log, machine: Machine, channel: str, values: np.ndarray) -> list
     rows = f" in {_rows(log, where)}" if where.size and not small else ""
     hint = f"; it would fit in {' or '.join(fits)}" if fits else "; check column, unit, scale and zero"
     text = (
-        f"{log.file}: {channel} goes from {seen[0]:.4g} to {seen[1]:.4g} {kind.unit}{rows}, column {column.name} taken in "
+        f"{log.file}: {channel} goes from {seen[0]:.4g} to {seen[1]:.4g} {kind.unit}{rows}, column {column.name} "
+        "taken in "
         f"{column.unit or 'shares'}; plausible is {low:.4g} to {high:.4g} {kind.unit}{hint}"
     )
     return [Finding("units", channel, text, True)]
@@ -185,7 +186,9 @@ def _without_outliers(log: Log, channel: str, values: np.ndarray, findings: list
         return values
     fault = bad.size > MOST_MISSING * values.size
     text = f"{log.file}: {channel} has outliers in {_rows(log, bad)} ({_times_of(log, bad)})"
-    findings.append(Finding("outliers", channel, text + ("" if fault else "; replaced by the neighbours' median"), fault))
+    findings.append(
+        Finding("outliers", channel, text + ("" if fault else "; replaced by the neighbours' median"), fault)
+    )
     clean = values.copy()
     clean[bad] = smooth[bad]
     return clean
@@ -221,7 +224,8 @@ def _unstuck(
             if moves:
                 share = (end - begin) / values.size
                 text = (
-                    f"{log.file}: {channel} is stuck at {values[begin]:.5g} {kind_of(channel).unit} in rows {log.row(begin)} to "
+                    f"{log.file}: {channel} is stuck at {values[begin]:.5g} {kind_of(channel).unit} in rows "
+                    f"{log.row(begin)} to "
                     f"{log.row(end - 1)} ({log.time[begin]:.2f} to {log.time[end - 1]:.2f} s) while the joint moves"
                 )
                 fault = share > MOST_STUCK
@@ -241,7 +245,8 @@ def _rows(log: Log, samples: np.ndarray) -> str:
     edges = np.flatnonzero(np.diff(samples) > 1) + 1
     parts = np.split(samples, edges)
     said = [
-        f"{log.row(part[0])}" if part.size == 1 else f"{log.row(part[0])}-{log.row(part[-1])}" for part in parts[:LISTED]
+        f"{log.row(part[0])}" if part.size == 1 else f"{log.row(part[0])}-{log.row(part[-1])}"
+        for part in parts[:LISTED]
     ]
     rest = f" and {len(parts) - LISTED} more places" if len(parts) > LISTED else ""
     return f"{'row' if samples.size == 1 else 'rows'} {', '.join(said)}{rest}"

@@ -1,7 +1,7 @@
 """Logs made ready for fits: one rate, filtered without phase, differentiated, and what was done said.
 
-All channels pass the same Butterworth low pass forwards and backwards, so that none is late against another. Its cut-off
-is the frequency at which the first position's spectrum comes near its noise, unless one is given.
+All channels pass the same Butterworth low pass forwards and backwards, so that none is late against another. Its
+cut-off is the frequency at which the first position's spectrum comes near its noise, unless one is given.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leanboom.errors import InputError
-from leanboom.identification.log_checks import Checked
+from leanboom.identification.logs.checks import Checked
 from leanboom.model.machine import Machine
 
 ORDER = 4  # of the low pass, once each way

@@ -132,7 +132,9 @@ def match(
     for channel, entry in named.items():
         name = entry["column"]
         if name not in headers:
-            problems.append(f"{file}: column {name} of channel {channel} is missing; {suggestion(name, tuple(headers))}")
+            problems.append(
+                f"{file}: column {name} of channel {channel} is missing; {suggestion(name, tuple(headers))}"
+            )
             continue
         unit = entry["unit"] or _stated(name)
         factor = _factor(unit, kind_of(channel))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from leanboom.errors import InputError
-from leanboom.identification.channels import TIME, Column, match
+from leanboom.identification.logs.channels import TIME, Column, match
 from leanboom.model.machine import Machine
 
 LEAST_ROWS = 200

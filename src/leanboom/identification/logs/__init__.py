@@ -1,0 +1,1 @@
+"""Logs of a machine: read, checked, and made ready for fits."""
