@@ -24,6 +24,7 @@ MOVING = 0.004  # [m/s], slower cylinders are at rest
 RATE = 40.0  # [Hz], of the rows of the fit
 TRAINING = 0.7  # share of each part, its beginning
 LEAST_TRAVEL = 0.05  # share of a joint's range
+FAR_BETTER = 0.5  # times the residual
 LEAST_MASS = 1.0  # [kg]
 PRIOR_LEVER, PRIOR_HEIGHT = 0.5, 0.3  # [m]
 STEP_TRAVEL = 1.0  # [m], extensions that travel less do not show friction steps
@@ -57,6 +58,7 @@ class _Rows:
     velocity: np.ndarray
     extension: np.ndarray
     force: np.ndarray
+    swapped: np.ndarray  # force if the chambers were swapped
     time: np.ndarray
     block: np.ndarray
     training: np.ndarray
@@ -131,7 +133,8 @@ def _rows(data: Data, machine: Machine, bodies: Sequence[Body]) -> list[_Rows]:
         sharp = cranes.sharpness(Crane(machine, (), ()))[i]
         found.append(_Rows(
             joint.name, i, columns[i][moving], np.tanh(sharp * v[moving]), v[moving], motion.q[-1][moving],
-            force[::every][moving], time[moving], block[moving], training[moving], part[moving],
+            force[::every][moving],
+            _swapped(data, machine, i, force)[::every][moving], time[moving], block[moving], training[moving], part[moving],
         ))  # fmt: skip
     return [each for each in found if each.force.size > 50 and each.training.sum() > 30]
 
@@ -149,6 +152,13 @@ def measured_force(data: Data, machine: Machine, i: int) -> np.ndarray | None:
     if a is None or (b is None and machine.cylinders[i].connection.value != "single_acting"):
         return None
     return area_a * a - area_b * (machine.pump.tank_pressure if b is None else b)
+
+
+def _swapped(data: Data, machine: Machine, i: int, force: np.ndarray) -> np.ndarray:
+    """What `measured_force` would be with the two chambers' channels swapped; the same without two."""
+    name, (area_a, area_b) = machine.names[i], machine.cylinders[i].areas
+    a, b = (data.channels.get(f"{name}_pressure_{side}") for side in "ab")
+    return force if a is None or b is None else area_a * b - area_b * a
 
 
 def _eroded(mask: np.ndarray, samples: int) -> np.ndarray:
@@ -274,7 +284,7 @@ class _Problem:
         self._minimise(self.x)
 
     def _signs(self) -> None:
-        """Joints whose Coulomb friction, free of bounds, is below zero: it would drive them."""
+        """Joints whose friction, free of bounds, would drive them, or whose forces fit better with chambers swapped."""
         negative = []
         for each in self.rows:
             used = each.training
@@ -283,10 +293,12 @@ class _Problem:
             columns = columns[:, scale > 1e-9 * scale.max()] / scale[scale > 1e-9 * scale.max()]
             found = np.linalg.lstsq(columns, each.force[used], rcond=1e-6)[0]
             residual = each.force[used] - columns @ found
+            other = each.swapped[used] - columns @ np.linalg.lstsq(columns, each.swapped[used], rcond=1e-6)[0]
+            better = np.sum(other**2) < FAR_BETTER**2 * np.sum(residual**2)
             spread = np.linalg.pinv(columns.T @ columns, rcond=1e-9, hermitian=True)
             # Rows hang together over about a second.
             error = float(np.sqrt(spread[-1, -1] * np.mean(residual**2) * RATE))
-            if found[-1] < -4.0 * error:
+            if found[-1] < -4.0 * error or better:
                 negative.append(each.joint)
         self.negative = tuple(negative)
 

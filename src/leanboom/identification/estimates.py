@@ -33,7 +33,8 @@ class Estimate:
 
     def json(self) -> dict[str, float | bool | None]:
         """What `--json` says of it."""
-        return {"value": self.value, "low": self.low, "high": self.high, "identifiable": self.identifiable}
+        ends = [None if end is None else float(end) for end in (self.low, self.high)]
+        return {"value": float(self.value), "low": ends[0], "high": ends[1], "identifiable": bool(self.identifiable)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,8 @@ from leanboom.model.task import Lines, Task
 from leanboom.planning.planner import plan
 from leanboom.progress import Progress, quiet
 
-CANDIDATES, CHOSEN = 16, 4
+CANDIDATES, CHOSEN = 8, 4
+STAGE = 0.1  # [s], of their motions
 POINTS = 5  # of a candidate's path
 SPEEDS = 0.3, 0.9  # [m/s], of the tool, mean over a line
 SLOWER, TRIES = 1.5, 5
@@ -161,7 +162,7 @@ def _driven(task: Task) -> tuple[Task, Evaluation] | None:
     """A task slow enough for its limits, and its motion; None if no speed helps."""
     for _ in range(TRIES):
         try:
-            judged = evaluate(task, plan(task, method="sns-actuator", check=False))
+            judged = evaluate(task, plan(task, method="sns-actuator", step=STAGE, check=False))
         except (InfeasibleError, InputError):
             return None
         if judged.feasible:

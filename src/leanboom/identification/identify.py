@@ -128,9 +128,9 @@ def _fits(data: Data, draft: Machine, findings: list[Finding], tell: Progress) -
     machine, results = draft, []
     kinds = (
         ("linkages", geometry_fit.fit),
+        ("pump", pump_fit.fit),
         ("valves", valve_fit.fit),
         ("cylinder forces", cylinder_forces.fit),
-        ("pump", pump_fit.fit),
     )
     for i, (what, fit) in enumerate(kinds):
         tell(f"fitting {what}", 0.2 + 0.2 * i)
@@ -145,8 +145,7 @@ def _fits(data: Data, draft: Machine, findings: list[Finding], tell: Progress) -
             findings.append(Finding("sign", f"{joint}_position", text, True))
         for joint in getattr(found, "negative_friction", ()):
             text = (
-                f"{joint}: its cylinder force is lower against the motion than with it, as if friction drove it: "
-                "chambers "
+                f"{joint}: its cylinder force does not fit its motion, as if friction drove it: chambers "
                 f"{joint}_pressure_a and {joint}_pressure_b are swapped, or {joint}_position has the wrong sign"
             )
             findings.append(Finding("chambers", f"{joint}_pressure_a", text, True))

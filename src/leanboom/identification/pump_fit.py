@@ -1,6 +1,7 @@
 """Pump flow and supply pressure: Appendix C.
 
-The flow is a sum of effective areas times velocities, eq. (37), with none below zero; the supply pressure stands the
+The flow is a sum of effective areas times velocities, eq. (37), with none below zero, and of what compresses the oil in
+driven chambers and in the supply line, eqs. (18)-(19); the supply pressure stands the
 load-sensing margin above the highest pressure of the driven chambers, eqs. (40)-(41), which it follows with a
 time constant.
 """
@@ -11,11 +12,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from leanboom.components.cylinders import Connection
+from leanboom.formulas import fluid
 from leanboom.identification.cylinder_forces import TRAINING, measured_force
 from leanboom.identification.estimates import Estimate, Fit, blocks_of, compare, covariance, kept, linear_fit
 from leanboom.identification.logs.conditioning import Data
 from leanboom.model.machine import Machine
+from leanboom.simulation.plant import retracted
 
+BULK = "simulation.bulk_modulus"
 RATE = 50.0  # [Hz], of the rows
 EPSILONS = 0.0005, 0.05  # [m/s], of the driven velocity
 LEAST_TRAVEL = 0.3  # [m] each way, for an area
@@ -66,13 +71,50 @@ def fit(data: Data, machine: Machine) -> PumpFit | None:
         return None
     result = found[0]
     for other in found[1:]:
+        circuit = replace(other.machine.circuit, bulk_modulus=result.machine.circuit.bulk_modulus)
         result = PumpFit(
-            replace(result.machine, pump=other.machine.pump, circuit=other.machine.circuit,
+            replace(result.machine, pump=other.machine.pump, circuit=circuit,
                     driven_velocity=other.machine.driven_velocity),
             result.estimates + other.estimates, result.fits + other.fits, result.series | other.series,
             result.remarks + other.remarks,
         )  # fmt: skip
     return result
+
+
+def pressed(data: Data, machine: Machine, i: int, side: str) -> np.ndarray | None:
+    """What a chamber takes up by compression, times the bulk modulus: V dp/dt [m^3 Pa/s], (samples,).
+
+    Args:
+        data: The conditioned logs.
+        machine: The machine, for its volumes.
+        i: Number of the cylinder.
+        side: "a" or "b".
+    """
+    name, cylinder, joint = machine.names[i], machine.cylinders[i], machine.joints[i]
+    pressure, position = data.channels.get(f"{name}_pressure_{side}"), data.channels.get(f"{name}_position")
+    if pressure is None or position is None:
+        return None
+    shortest, travel = retracted(cylinder, joint.lower, joint.upper)
+    x = cylinder.linkage.length_arm_slope(position)[0] - shortest
+    area = cylinder.areas[side == "b"]
+    volume = fluid.chamber_volume(machine.circuit.dead_volume, area, x if side == "a" else travel - x)
+    return volume * np.concatenate([np.gradient(part, 1.0 / data.rate) for part in data.split(pressure)])
+
+
+def _compressed(data: Data, machine: Machine, rows: _Rows, every: int) -> np.ndarray:
+    """What driven chambers and the supply line take up, times the bulk modulus, (rows,)."""
+    total = np.zeros(rows.time.size)
+    for i, cylinder in enumerate(machine.cylinders):
+        a, b = pressed(data, machine, i, "a"), pressed(data, machine, i, "b")
+        out, back = rows.velocities[i] > 0.0, rows.velocities[i] < 0.0
+        if a is not None:
+            total += a[::every] * out
+        if b is not None and cylinder.connection is not Connection.SINGLE_ACTING:
+            total += b[::every] * (back | (out & (cylinder.connection is Connection.DIFFERENTIAL)))
+    if "supply" in data.channels:
+        supply = np.concatenate([np.gradient(part, 1.0 / data.rate) for part in data.split(data.channels["supply"])])
+        total += machine.circuit.line_volume * supply[::every]
+    return total
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,6 +162,9 @@ def _flow(data: Data, machine: Machine, every: int, rows: _Rows) -> PumpFit | No
                         columns.append(-over * (np.abs(v) / 0.1) ** (power - 1))
                         names.append(f"anti_cavitation.tilt.{way}[{power - 1}]")
                         drawn.append(0.0)
+    columns.append(_compressed(data, machine, rows, every))
+    names.append(BULK)
+    drawn.append(0.0)
     table = np.stack(columns, axis=1)
     used = rows.keep & rows.training
     fixed = [j for j, name in enumerate(names) if not name]
@@ -132,6 +177,9 @@ def _flow(data: Data, machine: Machine, every: int, rows: _Rows) -> PumpFit | No
     estimates, remarks = [], []
     for j, value, width in zip(free, values, half, strict=True):
         name = names[j]
+        if name == BULK:
+            machine = _bulk(machine, float(value), float(width), estimates)
+            continue
         estimates.append(Estimate(name, float(value), float(value - width), float(value + width), True))
         if name.startswith("cylinders"):
             area = drawn[j]
@@ -144,6 +192,17 @@ def _flow(data: Data, machine: Machine, every: int, rows: _Rows) -> PumpFit | No
     fits = (compare("pump_flow", flow[rows.keep], model[rows.keep], rows.training[rows.keep]),)
     series = {"pump_flow": (rows.time[rows.keep], flow[rows.keep], model[rows.keep], rows.training[rows.keep])}
     return PumpFit(machine, (*estimates, *untold), fits, series, tuple(remarks))
+
+
+def _bulk(machine: Machine, softness: float, width: float, estimates: list[Estimate]) -> Machine:
+    """The machine with the bulk modulus that a softness [1/Pa] means, if the logs tell it; its estimate is added."""
+    if softness <= 2.0 * width:
+        note = "to tell it, start and stop cylinders under load"
+        estimates.append(Estimate(BULK, machine.circuit.bulk_modulus, None, None, False, note))
+        return machine
+    bulk = 1.0 / softness
+    estimates.append(Estimate(BULK, bulk, 1.0 / (softness + width), 1.0 / (softness - width), True))
+    return replace(machine, circuit=replace(machine.circuit, bulk_modulus=kept(bulk)))
 
 
 def _supply(data: Data, machine: Machine, every: int, rows: _Rows) -> PumpFit | None:

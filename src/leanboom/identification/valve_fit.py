@@ -2,8 +2,8 @@
 
 A cylinder's steady velocity over the command is the opening of the spool beyond its dead zone, times a gain each way;
 the spool follows its command after a delay, as a critically damped second-order system. Model and measured velocity
-pass the same filter. What compensators hold constant is a constant gain; where a load lowers its cylinder through an open
-throttle, velocity also grows with the root of its pressure.
+pass the same filter. What compensators hold constant is a constant gain; where a load lowers its cylinder through an
+open throttle, velocity also grows with the root of its pressure.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from leanboom.formulas import fluid
 from leanboom.identification.cylinder_forces import TRAINING, measured_force
 from leanboom.identification.estimates import Estimate, Fit, blocks_of, compare, covariance, interval_factor, kept
 from leanboom.identification.logs.conditioning import Data
+from leanboom.identification.pump_fit import pressed
 from leanboom.model.machine import Machine
 from leanboom.simulation.valve_sections import second_order
 
@@ -89,6 +90,7 @@ class _Cylinder:
         self.name, cylinder = machine.names[i], machine.cylinders[i]
         position = data.channels[f"{self.name}_position"]
         self.velocity = cylinder.linkage.length_arm_slope(position)[1] * data.rates[f"{self.name}_position"]
+        self.velocity = self.velocity + _given_up(data, machine, i, self.velocity)
         self.command = data.channels[f"{self.name}_command"]
         self.root = np.ones(position.size)
         pressure = data.channels.get(f"{self.name}_pressure_a")
@@ -217,6 +219,22 @@ class _Cylinder:
         rising = np.stack([out * fluid.opening(up, zone_out), up], axis=1)
         falling = np.stack([-back * fluid.opening(down, zone_back), -down], axis=1)
         return np.concatenate([falling[::-1], rising])
+
+
+def _given_up(data: Data, machine: Machine, i: int, velocity: np.ndarray) -> np.ndarray:
+    """Velocity that the compression of oil takes away from the flow through the valve [m/s], (samples,)."""
+    cylinder, drive = machine.cylinders[i], machine.drives[i]
+    a, b = (pressed(data, machine, i, side) for side in "ab")
+    bulk = machine.circuit.bulk_modulus
+    lost = np.zeros(velocity.size)
+    if a is not None:
+        lost += np.where(velocity > 0.0, a / (drive.area_out * bulk), 0.0)
+    if cylinder.connection is Connection.SINGLE_ACTING:
+        return lost if a is None else lost + np.where(velocity < 0.0, a / (cylinder.areas[0] * bulk), 0.0)
+    if b is not None:
+        both = cylinder.connection is Connection.DIFFERENTIAL
+        lost += np.where(velocity > 0.0, b / (drive.area_out * bulk) if both else 0.0, -b / (cylinder.areas[1] * bulk))
+    return lost
 
 
 def _circuit(machine: Machine, found: Sequence[_Cylinder]):

@@ -19,6 +19,7 @@ from leanboom.quantities.units import parse
 
 GAP = 5.0  # sampling periods without a sample
 OUTLIER = 20.0  # typical distances from the median of the neighbours
+JUMP, SPIKE = 0.02, 0.25  # and shares of a channel's spread: of a position, and of what may jump in truth
 NEIGHBOURS = 7  # samples of that median
 MOST_MISSING = 0.05  # share of a channel's samples that may be filled in
 STUCK = 3.0  # [s] of one and the same value while the joint moves
@@ -95,14 +96,12 @@ def _times(log: Log) -> list[Finding]:
     back = np.flatnonzero(steps <= 0.0)
     if back.size:
         at = ", ".join(f"from {log.time[i]:g} s to {log.time[i + 1]:g} s" for i in back[:LISTED])
-        text = f"{log.file}: time jumps back or stands still in {_rows(log, back + 1)} ({at}); "
-        text += "sort it or cut the log there"
+        text = f"{log.file}: time jumps back or stands still in {_rows(log, back + 1)} ({at}); sort or cut it"
         return [Finding("time", "time", text, True)]
     period = float(np.median(steps))
     found = []
     for i in np.flatnonzero(steps > GAP * period)[:50]:
-        text = f"{log.file}: gap of {steps[i]:.3g} s after row {log.row(i)} ({log.time[i]:.3f} s); "
-            "the parts are filtered apart"
+        text = f"{log.file}: gap of {steps[i]:.3g} s after row {log.row(i)} ({log.time[i]:.3f} s): parts apart"
         found.append(Finding("gap", "time", text, False))
     return found
 
@@ -181,7 +180,8 @@ def _without_outliers(log: Log, channel: str, values: np.ndarray, findings: list
     apart = np.abs(values - smooth)
     spread = float(np.subtract(*np.quantile(values, [0.99, 0.01])))
     typical = float(np.quantile(apart, 0.95))
-    bad = np.flatnonzero(apart > max(OUTLIER * typical, 0.05 * spread, 1e-12))
+    least = JUMP if channel.endswith(("_position", "_cylinder")) else SPIKE
+    bad = np.flatnonzero(apart > max(OUTLIER * typical, least * spread, 1e-12))
     if not bad.size:
         return values
     fault = bad.size > MOST_MISSING * values.size

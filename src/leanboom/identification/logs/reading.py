@@ -82,12 +82,12 @@ def _csv(path: Path, content: bytes) -> tuple[dict[str, np.ndarray], int]:
     twice = {name for name in headers if headers.count(name) > 1}
     if twice:
         raise InputError(f"{path}: column {sorted(twice)[0]} is there twice")
+    if len(lines) < 2:
+        raise InputError(f"{path}: has no rows below its header")
     try:
         values = np.loadtxt(io.StringIO("\n".join(lines[1:])), delimiter=delimiter, ndmin=2)
     except ValueError:
         values = _patient(path, lines[1:], delimiter, len(headers))
-    if values.size == 0:
-        raise InputError(f"{path}: has no rows below its header")
     if values.shape[1] != len(headers):
         raise InputError(f"{path}: has {len(headers)} columns in its header and {values.shape[1]} below it")
     return {name: values[:, i] for i, name in enumerate(headers)}, 2
