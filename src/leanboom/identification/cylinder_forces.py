@@ -134,7 +134,8 @@ def _rows(data: Data, machine: Machine, bodies: Sequence[Body]) -> list[_Rows]:
         found.append(_Rows(
             joint.name, i, columns[i][moving], np.tanh(sharp * v[moving]), v[moving], motion.q[-1][moving],
             force[::every][moving],
-            _swapped(data, machine, i, force)[::every][moving], time[moving], block[moving], training[moving], part[moving],
+            _swapped(data, machine, i, force)[::every][moving],
+            time[moving], block[moving], training[moving], part[moving],
         ))  # fmt: skip
     return [each for each in found if each.force.size > 50 and each.training.sum() > 30]
 
