@@ -20,7 +20,7 @@ from leanboom.identification.logs.checks import check
 from leanboom.identification.logs.conditioning import condition
 from leanboom.identification.logs.reading import read_log
 from leanboom.io.loading import dump_machine
-from leanboom.report import identification_page
+from leanboom.report.identification import page as identification_page
 
 DAY = "2026-01-31"
 

@@ -52,7 +52,7 @@ def identify(
     from leanboom.identification.identify import identify as run
     from leanboom.io import folders
     from leanboom.quantities.units import KINDS, parse
-    from leanboom.report import identification_page
+    from leanboom.report.identification import page as identification_page
 
     named = {} if columns is None else channels.read_map(columns, draft)
     frequency = None
@@ -73,10 +73,10 @@ def identify(
     if as_json:
         print_json(found.json(out))
     else:
-        from leanboom.cli import identification_tables
+        from leanboom.cli import result_tables
         from leanboom.cli.console import output
 
-        identification_tables.identified(output(), found, out)
+        result_tables.identified(output(), found, out)
 
 
 def _excite(draft, name: str, out: Path | None, as_json: bool) -> None:

@@ -1,4 +1,4 @@
-"""Tables of plans, simulations, comparisons and reproductions; units in every heading."""
+"""Tables of plans, simulations, comparisons, reproductions and identifications; units in every heading."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from leanboom.evaluation.evaluate import Evaluation
+    from leanboom.identification.identify import Identification
     from leanboom.planning.planner import Plan
     from leanboom.simulation.closed_loop import Simulation
     from leanboom.study.comparison import Comparison, Row
@@ -221,3 +222,39 @@ def _beside(line: Line) -> list[str]:
     difference = "" if line.difference is None else f"{line.difference:+.3f}"
     printed = "" if line.printed is None else f"{line.printed:.3f}"
     return [line.row, printed, "-" if line.ours is None else f"{line.ours:.3f}", difference, line.why]
+
+
+def identified(console: Console, found: Identification, out: Path | None) -> None:
+    """Values with intervals, errors on validation data, and what was done.
+
+    Args:
+        console: Where to.
+        found: What was found.
+        out: The machine file, if one was written.
+    """
+    from rich.table import Table
+
+    table = Table(title=f"{found.draft.name}: values told by the logs, SI units")
+    for name in ("value", "95 % from", "to"):
+        if not table.columns:
+            table.add_column("parameter")
+        table.add_column(name, justify="right")
+    for each in found.estimates:
+        if each.identifiable and each.low is not None and each.high is not None:
+            table.add_row(each.name, f"{each.value:.5g}", f"{each.low:.5g}", f"{each.high:.5g}")
+    console.print(table)
+    errors = Table(title="Errors on validation data")
+    errors.add_column("signal")
+    errors.add_column("rms", justify="right")
+    errors.add_column("of full scale", justify="right")
+    for each in found.fits:
+        errors.add_row(each.signal, f"{each.rms:.4g}", f"{each.rms_percent:.2f} %")
+    console.print(errors)
+    untold = [each.name for each in found.estimates if not each.identifiable]
+    if untold:
+        console.print(f"Not told by the logs, kept near the draft: {', '.join(untold)}", highlight=False)
+    for line in found.said:
+        console.print(line, highlight=False, markup=False)
+    console.print(
+        f"Fitted in {found.wall_s:.1f} s." + (f" Machine file: {out}" if out else ""), highlight=False, markup=False
+    )

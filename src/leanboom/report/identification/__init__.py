@@ -1,0 +1,1 @@
+"""What is written of an identification: its page and the files beside it."""
