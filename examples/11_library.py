@@ -32,7 +32,7 @@ def main(folder):
             began = time.perf_counter()
             answer = library.query((4.3, 0, 2.5), (5.5, 0, 2.0), max_duration=longest, pump="cp", extension=0.35)
             took = 1e3 * (time.perf_counter() - began)
-            print(print(f"{longest:g} s, after {took:.1f} ms: {answer.entry.energy_j / 1e3:.2f} kJ"))
+            print(f"{longest:g} s, after {took:.1f} ms: {answer.entry.energy_j / 1e3:.2f} kJ")
             print(library.judged(answer))
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 INDEX, SEGMENTS, MACHINE, SPECIFICATION = "index.sqlite", "segments", "machine.yaml", "library.yaml"
 ROWS = 64  # motions that are read together
 FULL = 4096  # motions in a full file; files that hold less than half as many are put together
-OPEN = 16  # files that a reader keeps open
+OPEN = 32  # files that a reader keeps open
 
 # Each entry leads an index from one format to the next; the format of an index is the number of entries it has had.
 FORMATS = (
@@ -261,9 +261,10 @@ class Store:
             InputError: Its file is damaged.
         """
         assert entry.segment is not None and entry.row is not None
-        group, row = divmod(entry.row, ROWS)
         try:
-            table = self._opened(entry.segment).read_row_group(group)
+            file = self._opened(entry.segment)
+            group, row = divmod(entry.row, file.metadata.row_group(0).num_rows)
+            table = file.read_row_group(group, use_threads=False)  # threads take longer to begin than to read
             key = table.column("key")[row].as_py()
             velocity = table.column("velocity")[row].values.to_numpy()
             step, start = table.column("step")[row].as_py(), table.column("start")[row].as_py()
