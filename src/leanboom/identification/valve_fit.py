@@ -25,6 +25,7 @@ from leanboom.simulation.valve_sections import second_order
 SHORTEST, LONGEST = 0.0, 1.0  # [s], of a delay
 SLOWEST, FASTEST = 0.5, 50.0  # [Hz], of a spool
 STEADY_SPEED, STEADY_ACCELERATION = 0.015, 0.1  # [m/s], [m/s^2]
+FILLED = 0.5e6  # [Pa] above the return line, of a chamber that drives its cylinder
 FEWEST = 5  # blocks of time with steady motion
 SPEEDS = 21  # of a feed-forward table, each way
 MOST_ROWS = 60_000  # of a cylinder
@@ -316,7 +317,9 @@ def back_pressures(data: Data, machine: Machine) -> list[Estimate]:
                 rod = area_a - area_b
                 values = ((b - force / rod) / drop - area_a / rod) * rod**3 / (area_b**2 * area_a)  # noqa: PLW2901
                 kind = "regenerative_ratio"
-            moving = steady & (sign * v > STEADY_SPEED)
+            # Where the load drives, the chamber that fills is empty and the flow is not the compensator's.
+            filled = (a if sign > 0.0 else b) > floor + FILLED
+            moving = steady & filled & (sign * v > STEADY_SPEED)
             for each in np.unique(block[moving]):
                 inside = moving & (block == each)
                 if inside.sum() > 0.25 * data.rate:
