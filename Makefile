@@ -53,5 +53,5 @@ bench: $(READY) ## Measure time, memory and energy
 	@$(BIN)/python -m benchmarks.speed
 
 lock: $(READY) ## Renew requirements.lock (needs uv)
-	@uv --quiet pip compile pyproject.toml --extra library --extra cluster --group tests --group dev --extra library --extra cluster --extra logs --universal --fork-strategy fewest \
+	@uv --quiet pip compile pyproject.toml --group tests --group dev --extra library --extra cluster --extra logs --universal --fork-strategy fewest \
 		--python-version 3.11 --upgrade --generate-hashes --no-emit-index-url --no-header --output-file requirements.lock
