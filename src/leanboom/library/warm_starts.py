@@ -28,7 +28,7 @@ from leanboom.model.task import Task
 from leanboom.problem import stages, starts
 from leanboom.problem.stages import Problem
 
-COARSE = (61, 31)  # nodes of the program that serves all starts; energies stay within 0.2 %, see docs/library.md
+COARSE = (61, 31)  # nodes of the program that serves all starts; see docs/library.md
 WARM = Effort(minima=1, stages=0, share=0.0, leading=1, shortest=2)
 LED_OVER = 0.4  # share of a motion over which a neighbour's is led over from another start
 
