@@ -26,6 +26,7 @@ SHORTEST, LONGEST = 0.0, 1.0  # [s], of a delay
 SLOWEST, FASTEST = 0.5, 50.0  # [Hz], of a spool
 STEADY_SPEED, STEADY_ACCELERATION = 0.015, 0.1  # [m/s], [m/s^2]
 FILLED = 0.5e6  # [Pa] above the return line, of a chamber that drives its cylinder
+WORST = 10.0  # [%] of full scale, rms of a fit whose values are told
 FEWEST = 5  # blocks of time with steady motion
 SPEEDS = 21  # of a feed-forward table, each way
 MOST_ROWS = 60_000  # of a cylinder
@@ -70,7 +71,7 @@ def fit(data: Data, machine: Machine) -> Valves | None:
     estimates = [e for one in found for e in one.estimates()]
     pressures = back_pressures(data, machine)
     estimates += pressures
-    circuit, shared = _circuit(machine, found)
+    circuit, shared = _circuit(machine, [one for one in found if one.fit.rms_percent < WORST])
     told = {e.name: e.value for e in pressures if e.identifiable}
     valve = machine.valve
     if isinstance(valve, MobileValve):
@@ -204,7 +205,9 @@ class _Cylinder:
         names = ("delay", "spool_bandwidth", "gain_out", "gain_in", "dead_zone_out", "dead_zone_in")
         found = []
         for name, value, half, free in zip(names, self.x, self.half, self.free, strict=True):
-            sure = bool(free and np.isfinite(half) and half < 0.5 * max(abs(value), 0.05))
+            sure = bool(
+                self.fit.rms_percent < WORST and free and np.isfinite(half) and half < 0.5 * max(abs(value), 0.05)
+            )
             note = "" if sure else "to tell it, drive this cylinder both ways from rest in steps of the command"
             found.append(Estimate(
                 f"valve.{self.name}.{name}", float(value), float(value - half) if sure else None,
