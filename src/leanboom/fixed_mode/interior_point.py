@@ -314,6 +314,7 @@ def minimise(program, guess, barrier, last_barrier, iterations):
     slack_step, bent_slack = empty_limits(stages, n), empty_limits(stages, n)
     multiplier, turn, bent_turn = empty_limits(stages, n), empty_limits(stages, n), empty_limits(stages, n)
     counts = program.counts.every
+    step.every[:], slack_step.every[:] = 0.0, 0.0  # no step yet, whatever this memory held
     for j in range(counts.size):
         here.slack.every[j] = SMALLEST_SLACK
     cost, _ = go(program, guess, here.slack.every, step, slack_step.every, 0.0, barrier, 0.0, work.moved, here)
