@@ -179,9 +179,9 @@ def test_motions_within_limits_keep_far_from_contradicting_themselves(smooth, mo
     """A fiftieth of what is allowed would do, filtered a fifth."""
     share = 0.02 if smooth is None else 0.2
     monkeypatch.setattr(limit_checks, "SHARES", tuple(share * value for value in limit_checks.SHARES))
-    for name, start, rate in (("forwarder-vertical", 0.7, 0.9), ("loader-triangle-small", 0.6, 0.7)):
+    for name, start, halves in (("forwarder-vertical", 0.7, 2), ("loader-triangle-small", 0.6, 6)):
         task = replace(load_task(name), smooth=smooth)
-        speed = 0.05 * np.sin(rate * np.arange(round(task.duration / 0.05) + 1) * 0.05)
+        speed = 0.05 * np.sin(np.pi * halves * np.linspace(0.0, 1.0, round(task.duration / 0.05) + 1))  # ends at rest
         judged = evaluate(task, from_velocities(0.05, start, speed, "x", "cp"))
         assert judged.feasible, judged.status
 
