@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -24,8 +25,9 @@ def test_example_fits_a_screen(path):
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_example_runs_and_writes_only_where_it_is_told(path, tmp_path):
     """Warnings are errors; one thread, because grids are small and other tests may want the rest."""
-    here, folder, temporary = (tmp_path / name for name in ("here", "folder", "temporary"))
-    for each in (here, folder, temporary):
+    here, folder = tmp_path / "here", tmp_path / "folder"
+    temporary = Path(tempfile.mkdtemp())  # short: sockets of processes have names of at most 100 characters
+    for each in (here, folder):
         each.mkdir()
     answer = subprocess.run(
         [sys.executable, "-W", "error", str(path), str(folder)],

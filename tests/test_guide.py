@@ -189,9 +189,9 @@ def test_a_tube_gives_the_slopes_inside_it_and_only_there(loader):
 def test_a_guide_is_asked_where_the_first_bound_does_not_do(larger_cells, monkeypatch, gap, guided):
     plain, asked = lower_bounds.bound, []
 
-    def watched(kept, begin, clock, given=None, limit=np.inf, coarse=False):
+    def watched(kept, begin, clock, given=None, limit=np.inf, coarse=False, end=None):
         asked.append(given)
-        return plain(kept, begin, clock, given, limit, coarse)
+        return plain(kept, begin, clock, given, limit, coarse, end)
 
     monkeypatch.setattr(lower_bounds, "bound", watched)
     proof = certify(load_task("forwarder-vertical", start="middle"), "cp", step=0.5, gap=gap, seconds=120.0)

@@ -148,9 +148,10 @@ def test_charts_hold_the_judged_values(plan, page):
     assert all(chart["unit"] and chart["axis"] for row in rows for chart in row["charts"])
 
 
-def test_one_script_draws_the_charts_of_all_pages():
+def test_one_script_draws_the_charts_of_plans_and_simulations():
+    """Pages of libraries and of identification have maps and fits of their own."""
     drawing = [p.name for p in rendering.FOLDER.iterdir() if "Plotly." in p.read_text(encoding="utf-8")]
-    assert drawing == ["charts.js"]
+    assert sorted(drawing) == ["charts.js", "identification.html.j2", "library.js"]
 
 
 def test_charts_and_animation_stay_small(task):

@@ -309,7 +309,7 @@ def test_a_map_that_no_file_could_hold_is_refused_in_python(tmp_path):
     assert str(caught.value) == "pump.efficiency.total[0][0][1] = 2; must be above 0 and at most 1"
     with pytest.raises(InputError) as caught:
         replace(given, speeds=(30.0, 25.0))
-    assert str(caught.value) == "pump.efficiency.speeds = [30.0, 25.0]; every value must be above the one before it"
+    assert str(caught.value) == "pump.efficiency.speeds = [30, 25]; every value must be above the one before it"
 
 
 BAD_MAPS = {

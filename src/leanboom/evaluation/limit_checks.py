@@ -144,10 +144,10 @@ def unended(task: Task, position: np.ndarray, velocity: np.ndarray) -> tuple[str
         wanted = float(position[0]) if task.end == "same" else task.end
         if isinstance(wanted, float) and abs(position[-1] - wanted) > END_TOLERANCE:
             found.append(
-                f"the extension ends at {position[-1]:.4f} m, and must end at {wanted:.4f} m (end: {task.end})"
+                f"the extension ends at {_number(position[-1])} m, and must end at {wanted:.4f} m (end: {task.end})"
             )
     if task.whole and abs(velocity[-1]) > REST_TOLERANCE:
-        found.append(f"the extension still moves by {velocity[-1]:.4f} m/s at the end, and must be at rest")
+        found.append(f"the extension still moves by {_number(velocity[-1])} m/s at the end, and must be at rest")
     return tuple(found)
 
 
