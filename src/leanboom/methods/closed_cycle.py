@@ -16,12 +16,13 @@ from leanboom.errors import InputError
 from leanboom.evaluation import ranking
 from leanboom.evaluation.evaluate import Evaluation, evaluate, judged_cost
 from leanboom.fixed_mode import modes
+from leanboom.fixed_mode.modes import Modes, Polisher
 from leanboom.methods.dp_refined import Search
 from leanboom.methods.registry import EFFORTS
 from leanboom.model import motion
+from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import stages
-from leanboom.problem.stages import Problem
 from leanboom.progress import Progress
 
 STARTS = 9  # of the continuation
@@ -45,15 +46,15 @@ def best_cycle(task: Task, cost: str, grid: tuple[int, int], step: float, tell: 
     lengths = common_lengths(task, step)
     tell(f"closed cycles from {lengths.size} starts", 0.02)
     middle = _search(task, float(lengths[STARTS // 2]), cost, grid, step)
-    problem = stages.discretise(middle.task, step)
-    tried = [middle, *_continued(problem, middle, lengths[STARTS // 2 + 1 :], cost)]
-    tried += _continued(problem, middle, lengths[: STARTS // 2][::-1], cost)
+    polisher = modes.build(stages.discretise(middle.task, step), cost)
+    tried = [middle, *_continued(polisher, middle.motion, lengths[STARTS // 2 + 1 :])]
+    tried += _continued(polisher, middle.motion, lengths[: STARTS // 2][::-1])
     tried.sort(key=lambda each: ranking.rank(each, judged_cost(each, cost)))
     best = tried[0]
     for each in tried[: FOLLOWED[COSTS[cost].loads]]:
         tell("the start of the closed cycle", 0.1)
-        found = _search(task, float(each.motion.position[0]), cost, grid, step)
-        best = ranking.better(_moved_start(problem, found, cost, lengths), best, cost)
+        found = each if each is middle else _search(task, float(each.motion.position[0]), cost, grid, step)
+        best = ranking.better(_moved_start(polisher, found, lengths), best, cost)
     return best
 
 
@@ -76,36 +77,48 @@ def _search(task: Task, start: float, cost: str, grid: tuple[int, int], step: fl
     return Search(replace(task, start=start), cost, grid, step, EFFORTS["quick"]).run()
 
 
-def _continued(problem: Problem, first: Evaluation, lengths: np.ndarray, cost: str) -> list[Evaluation]:
+def _polished(polisher: Polisher, beside: Motion, start: float, switches: Modes | None = None) -> Evaluation | None:
+    """The judged closed motion from a start [m], polished from one beside it; None where nothing is found.
+
+    Args:
+        polisher: The fixed-mode program of the closed task.
+        beside: The other motion, on the program's stages.
+        start: The start.
+        switches: The modes; None: as they are read off the motion once it is moved to the start.
+    """
+    seed = motion.from_velocities(beside.step, start, beside.velocity, "dp", polisher.cost)
+    seed = motion.ending_at(seed, start)
+    switches = modes.modes(polisher, seed) if switches is None else switches
+    answer, _ = modes.solve(polisher, seed, switches, fixed_end=True)
+    return None if answer is None else evaluate(replace(polisher.problem.task, start=start), answer)
+
+
+def _continued(polisher: Polisher, first: Motion, lengths: np.ndarray) -> list[Evaluation]:
     """Judged closed motions from one start after the other [m], each polished from the one before."""
-    polisher, at = modes.build(problem, cost), stages.on_stages(problem, first.motion)
-    found = []
+    at, found = stages.on_stages(polisher.problem, first), []
     for start in lengths.tolist():
-        seed = motion.ending_at(motion.from_velocities(at.step, start, at.velocity, "dp", cost), start)
-        answer, _ = modes.solve(polisher, seed, modes.modes(polisher, seed), fixed_end=True)
-        if answer is None:
+        judged = _polished(polisher, at, start)
+        if judged is None:
             break
-        found.append(evaluate(replace(problem.task, start=start), answer))
-        at = answer
+        found.append(judged)
+        at = judged.motion
     return found
 
 
-def _moved_start(problem: Problem, found: Evaluation, cost: str, lengths: np.ndarray) -> Evaluation:
+def _moved_start(polisher: Polisher, found: Evaluation, lengths: np.ndarray) -> Evaluation:
     """The best closed motion with the modes of a given one, its start moved by at most the distance of two tried."""
     from scipy.optimize import minimize_scalar
 
-    polisher, at = modes.build(problem, cost), stages.on_stages(problem, found.motion)
+    cost, at = polisher.cost, stages.on_stages(polisher.problem, found.motion)
     switches = modes.modes(polisher, at)
     best, first = found, float(at.position[0])
     apart = float(lengths[1] - lengths[0])
 
     def closed(start: float) -> float:
         nonlocal best
-        seed = motion.from_velocities(at.step, start, at.velocity, "dp", cost)
-        answer, _ = modes.solve(polisher, motion.ending_at(seed, start), switches, fixed_end=True)
-        if answer is None:
+        judged = _polished(polisher, at, start, switches)
+        if judged is None:
             return 10.0 * abs(judged_cost(found, cost))
-        judged = evaluate(replace(problem.task, start=start), answer)
         best = ranking.better(best, judged, cost)
         return judged_cost(judged, cost) * (1.0 if judged.feasible else 10.0)
 

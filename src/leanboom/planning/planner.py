@@ -177,11 +177,12 @@ def run(
     settings = Settings(grid, step, effort, tuple(warm_start), proof.seek if proven else None)
     start = None if chosen.free_start else _start(task, method, step)
     minimised = chosen.costs[0] if chosen.pointwise and chosen.costs else cost
-    settled = starts.settled(task, step)
     if task.start == "best" and task.end == "same":
         cycle = closed_cycle.best_cycle(task, cost, grid, step, tell).motion
         settled = replace(task, start=float(cycle.position[0]))
         settings = replace(settings, seeds=(*settings.seeds, cycle))
+    else:
+        settled = starts.settled(task, step)
     answer = chosen.plan(settled, minimised, start, tell, settings)
     best = evaluate(settled, answer) if isinstance(answer, Motion) else answer
     certified = proof.of(best.motion)
