@@ -9,7 +9,7 @@ from leanboom.evaluation.evaluate import Evaluation, evaluate
 from leanboom.library import specification
 from leanboom.library.lookup import Answer, Library, task_of
 from leanboom.library.warm_starts import COARSE, WARM, Known, carried_over
-from leanboom.methods.dp_refined import FIRST_LEVELS, Search
+from leanboom.methods.dp_refined import Search
 from leanboom.methods.registry import STEP
 from leanboom.model.task import Task
 from leanboom.planning.planner import Plan, run
@@ -81,11 +81,7 @@ def polished(task: Task, pump: str, library: Library, answer: Answer) -> Evaluat
     search = Search(task, pump, COARSE, STEP, WARM)
     problem = stages.discretise(task, search.step)
     start = starts.start_position(problem, task.start)
-    search.span = problem.pace
-    found = search.descend(problem, carried_over(stored, problem, start), start, FIRST_LEVELS)
-    search.lead(problem, [found], start)
-    search.finer_stages(start)
-    return search.known_best()
+    return search.around(problem, [carried_over(stored, problem, start)], start, problem.pace)
 
 
 @dataclass(frozen=True, slots=True)

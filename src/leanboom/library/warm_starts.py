@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leanboom.dynamic_programming import grids, value_function
+from leanboom.dynamic_programming import value_function
 from leanboom.dynamic_programming.value_function import Policy
 from leanboom.errors import LeanboomError
 from leanboom.evaluation.evaluate import Evaluation
 from leanboom.library.specification import Sweep
 from leanboom.methods import pseudo_inverse
-from leanboom.methods.dp_refined import FIRST_LEVELS, NARROW, Search
+from leanboom.methods.dp_refined import Search, coarse_policy
 from leanboom.methods.registry import EFFORTS, GRID, STEP, Effort
 from leanboom.model import motion
 from leanboom.model.motion import Motion
@@ -109,28 +109,22 @@ def _whole(task: Task, pump: str) -> Evaluation:
 def _policy(task: Task, pump: str) -> Policy:
     """The coarse program that serves all starts of a task, with velocities as far as its motions use them."""
     problem = stages.discretise(task, Search(task, pump, COARSE, STEP, WARM).step)
-    limit, span = task.machine.redundant.velocity_limit, problem.pace
-    while True:
-        policy = value_function.solve(problem, grids.full_grid(problem, *COARSE, span), pump)
-        ends = (value_function.rollout(policy, float(end[0])) for end in (problem.lower, problem.upper))
-        if span >= limit or max(float(np.abs(each.velocity).max()) for each in ends) < NARROW * span:
-            return policy
-        span = min(limit, 2.0 * span)
+
+    def from_ends(policy: Policy) -> list[Motion]:
+        return [value_function.rollout(policy, float(end[0])) for end in (problem.lower, problem.upper)]
+
+    return coarse_policy(problem, COARSE, pump, from_ends)[0]
 
 
 def _warm(task: Task, pump: str, policy: Policy, near: Sequence[Known]) -> Evaluation:
     """The best motion around that of a coarse program and around neighbours'."""
     problem = replace(policy.problem, task=task)
     search = Search(task, pump, COARSE, STEP, WARM)
-    search.span = float(policy.grid.w_hi[0])
     start = starts.start_position(problem, task.start)
     first = value_function.best_start(policy) if start is None else start
     seeds = [value_function.rollout(policy, first)]
     seeds += [carried_over(each, problem, start) for each in near]
-    found = [search.descend(problem, seed, start, FIRST_LEVELS) for seed in seeds]
-    search.lead(problem, found, start)
-    search.finer_stages(start)
-    return search.known_best()
+    return search.around(problem, seeds, start, float(policy.grid.w_hi[0]))
 
 
 def _nearest(task: Task, near: Sequence[Known]) -> list[Known]:

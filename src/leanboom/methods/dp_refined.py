@@ -11,13 +11,14 @@ The judge measures every candidate, and the best feasible one wins.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
 
 from leanboom.components.costs import COSTS
 from leanboom.dynamic_programming import grids, local_minima, value_function
+from leanboom.dynamic_programming.value_function import Policy
 from leanboom.evaluation import ranking
 from leanboom.evaluation.evaluate import Evaluation, evaluate, judged_cost
 from leanboom.fixed_mode import modes
@@ -122,6 +123,21 @@ class Search:
         self.keep_baseline(problem, other, first)
         return self.known_best()
 
+    def around(self, problem: Problem, seeds: Iterable[Motion], start: float | None, span: float) -> Evaluation:
+        """The best motion around given ones, without a coarse program.
+
+        Args:
+            problem: The discretised task.
+            seeds: The motions.
+            start: The start of the redundant cylinder [m]; None where it is free.
+            span: Velocity that motions make use of [m/s].
+        """
+        self.span = span
+        found = [self.descend(problem, seed, start, FIRST_LEVELS) for seed in seeds]
+        self.lead(problem, found, start)
+        self.finer_stages(start)
+        return self.known_best()
+
     def look_around(self, seed: Motion) -> Evaluation:
         """The best motion after one more seed, such as one that a proof has found."""
         problem = stages.discretise(self.task, self.step)
@@ -149,23 +165,18 @@ class Search:
             density: Nodes along position and velocity, in those of the grid asked for.
         """
         nodes = round(density * self.grid[0]), round(density * self.grid[1])
-        limit = problem.crane.machine.redundant.velocity_limit
-        self.span = problem.pace
-        while True:
-            self.tell(f"coarse dynamic program, velocities up to {self.span:.3g} m/s", 0.05)
-            grid = grids.full_grid(problem, *nodes, self.span)
-            end = starts.end_position(problem, self.task.end, start)
-            policy = value_function.solve(problem, grid, self.cost, end=end)
+        end = starts.end_position(problem, self.task.end, start)
+
+        def shown(policy: Policy) -> list[Motion]:
             if self.effort.minima > 1:
                 self.tell("local minima", 0.2)
                 most = self.effort.most(problem.stages, self.loads)
-                minima = local_minima.local_minima(local_minima.through(policy, start), self.effort.share, most)
-            else:
-                minima = [value_function.rollout(policy, value_function.best_start(policy) if start is None else start)]
-            fastest = max(float(np.abs(each.velocity).max()) for each in minima)
-            if self.span >= limit or fastest < NARROW * self.span:
-                break
-            self.span = min(limit, 2.0 * self.span)
+                return local_minima.local_minima(local_minima.through(policy, start), self.effort.share, most)
+            return [value_function.rollout(policy, value_function.best_start(policy) if start is None else start)]
+
+        policy, minima = coarse_policy(problem, nodes, self.cost, shown, end, self.tell)
+        grid = policy.grid
+        self.span = float(grid.w_hi[0])
         if start is None:  # given starts are starts, too
             minima += [value_function.rollout(policy, float(each[0])) for each in (problem.lower, problem.upper)]
         self.note(f"coarse {grid.positions}x{grid.velocities}: {len(minima)} motions")
@@ -395,6 +406,30 @@ class Search:
     def note(self, text: str) -> None:
         """Add a line to the log."""
         self.log.append(f"{time.perf_counter() - self.began:6.2f} s  {text}")
+
+
+def coarse_policy(
+    problem: Problem, nodes: tuple[int, int], cost: str, shown: Callable[[Policy], list[Motion]],
+    end: float | None = None, tell: Progress = quiet,
+) -> tuple[Policy, list[Motion]]:  # fmt: skip
+    """The policy over all feasible extensions, with velocities as far as its motions use them, and these motions.
+
+    Args:
+        problem: The discretised task.
+        nodes: Positions and velocities.
+        cost: What to minimise, a name of `costs.COSTS`.
+        shown: The motions of a policy that count.
+        end: Where they end [m]; None: anywhere.
+        tell: Called with what happens and the share done.
+    """
+    limit, span = problem.crane.machine.redundant.velocity_limit, problem.pace
+    while True:
+        tell(f"coarse dynamic program, velocities up to {span:.3g} m/s", 0.05)
+        policy = value_function.solve(problem, grids.full_grid(problem, *nodes, span), cost, end=end)
+        motions = shown(policy)
+        if span >= limit or max(float(np.abs(each.velocity).max()) for each in motions) < NARROW * span:
+            return policy, motions
+        span = min(limit, 2.0 * span)
 
 
 def cheaper(one: Evaluation, other: Evaluation, cost: str) -> bool:
