@@ -52,7 +52,7 @@ def test_the_fixed_mode_program_leads_to_the_end_and_no_shift_of_its_answer_is_b
     start = starts.start_position(problem, "middle")
     seed = motion.from_velocities(0.1, start, np.zeros(problem.stages + 1), "dp", "cp")
     polisher = modes.build(problem, "cp")
-    answer, text = modes.solve(polisher, seed, modes.modes(polisher, seed), fixed_end=True)
+    answer, text = modes.solve(polisher, seed, modes.modes(polisher, seed))
     assert answer is not None, text
     assert answer.position[-1] == pytest.approx(start, abs=1e-12)
     best = lb.evaluate(CLOSED, answer)

@@ -133,7 +133,7 @@ def certify(
             f"the motion breaks a limit at the start of a stage of {problem.step:.4g} s: so long stages may be too "
             "coarse for this task; plan and certify with one step, and a shorter one"
         )
-    end = starts.end_position(problem, task.end, start)
+    end = starts.end_position(problem, start)
     course = Course(Goal(problem, pump, start, end, best, gap), budget, tell)
     levels = tuple(refinement.levels(course))
     tell("done", 1.0)

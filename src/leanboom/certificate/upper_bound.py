@@ -57,7 +57,7 @@ def measure(problem: Problem, candidate: Motion, pump: str) -> Measured:
     power = cost_rates.rate(crane, pump, moving.velocity[problem.moving], force[problem.moving], others)
     used = max(np.max(problem.lower - candidate.position), np.max(candidate.position - problem.upper)) / PATH_TOLERANCE
     used = max(used, abs(candidate.velocity[-1]) / PATH_TOLERANCE)
-    end = starts.end_position(problem, problem.task.end, float(candidate.position[0]))
+    end = starts.end_position(problem, float(candidate.position[0]))
     used = used if end is None else max(used, abs(candidate.position[-1] - end) / PATH_TOLERANCE)
     for i in range(len(machine.cylinders))[problem.moving]:
         cylinder = machine.cylinders[i]
@@ -87,7 +87,7 @@ def improve(problem: Problem, seed: Measured, pump: str, free: bool) -> Measured
             share = 0.5**level
             at = best.motion
             width, spread = share * HALF_WIDTH * (high - low), share * HALF_HEIGHT * 2.0 * limit
-            end = starts.end_position(problem, problem.task.end, float(at.position[0]))
+            end = starts.end_position(problem, float(at.position[0]))
             tube = grids.tube_grid(problem, at.position, at.velocity, width, spread, *TUBE)
             policy = value_function.solve(problem, tube, pump, end=end)
             start = value_function.best_start(policy) if free else float(at.position[0])
@@ -106,6 +106,6 @@ def _keeping(polisher: Polisher, found: Measured, free: bool) -> Measured:
     if found.keeps_limits:
         return found
     with np.errstate(all="ignore"):  # a motion out of reach has no numbers there
-        switches, ends = modes.modes(polisher, found.motion), polisher.problem.task.end != "free"
-        polished, _ = modes.solve(polisher, found.motion, switches, free, fixed_end=ends)
+        switches = modes.modes(polisher, found.motion)
+        polished, _ = modes.solve(polisher, found.motion, switches, free)
     return found if polished is None else measure(polisher.problem, polished, polisher.cost)

@@ -158,7 +158,7 @@ def make(problem: Problem, cost: str, viable: Viable, beside: Motion) -> Guide:
     """The guide of a problem: solve it on a grid of everything feasible and on one around a motion."""
     full = grids.full_grid(problem, *GRID)
     tube = grids.tube_grid(problem, beside.position, beside.velocity, HALF_WIDTH, HALF_HEIGHT, *TUBE)
-    end = starts.end_position(problem, problem.task.end, float(beside.position[0]))
+    end = starts.end_position(problem, float(beside.position[0]))
     return Guide(tuple(value_function.solve(problem, each, cost, end=end) for each in (full, tube)), viable)
 
 

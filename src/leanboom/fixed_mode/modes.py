@@ -143,9 +143,10 @@ def solve(
     switches: Modes,
     free_start: bool = False,
     share: tuple[float, float] = (1.0, 1.0),
-    fixed_end: bool = False,
 ) -> tuple[Motion | None, str]:
     """Solution of the fixed-mode program from a seed: the polished motion.
+
+    It ends where the seed does if the task asks for an end.
 
     Args:
         polisher: The built problem.
@@ -154,14 +155,13 @@ def solve(
         free_start: Whether the start may move inside its feasible interval (start kind `best`).
         share: Parts of the cylinders' velocity and acceleration limits that may be used at the ends of the intervals;
             less than 1 leaves room for what happens between them.
-        fixed_end: Whether the motion ends where the seed does.
 
     Returns:
         The polished motion and how the solver ended; no motion where it did not converge.
     """
     problem = polisher.problem
     mode = _mode_parameters(polisher, switches)
-    stated = _program(polisher, seed, switches, mode, free_start, share, fixed_end)
+    stated = _program(polisher, seed, switches, mode, free_start, share)
     guess = _guess(polisher, seed, switches, mode)
     unit = derivatives.MILLI * cost_scale.energy_scale(problem, polisher.cost)
     answer, solved, count = interior_point.minimise(stated, guess, BARRIER * unit, LAST_BARRIER * unit, ITERATIONS)
@@ -180,7 +180,6 @@ def _program(
     mode: np.ndarray,
     free_start: bool,
     share: tuple[float, float],
-    fixed_end: bool = False,
 ) -> derivatives.Program:
     """The `Program` for given modes, which bound speeds; limits that cannot change are left out."""
     problem = polisher.problem
@@ -205,6 +204,7 @@ def _program(
     counts.node[[0, -1], -2:] = False  # at rest
     if not free_start:
         counts.node[0] = False
+    fixed_end = problem.task.end != "free"
     if fixed_end:
         counts.node[-1] = False
     counts.end[:, 1, 2 * n - 2 : 2 * n] = False  # the control is the same at both ends

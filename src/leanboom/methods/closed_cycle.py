@@ -89,7 +89,7 @@ def _polished(polisher: Polisher, beside: Motion, start: float, switches: Modes 
     seed = motion.from_velocities(beside.step, start, beside.velocity, "dp", polisher.cost)
     seed = motion.ending_at(seed, start)
     switches = modes.modes(polisher, seed) if switches is None else switches
-    answer, _ = modes.solve(polisher, seed, switches, fixed_end=True)
+    answer, _ = modes.solve(polisher, seed, switches)
     return None if answer is None else evaluate(replace(polisher.problem.task, start=start), answer)
 
 

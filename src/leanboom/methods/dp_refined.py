@@ -165,7 +165,7 @@ class Search:
             density: Nodes along position and velocity, in those of the grid asked for.
         """
         nodes = round(density * self.grid[0]), round(density * self.grid[1])
-        end = starts.end_position(problem, self.task.end, start)
+        end = starts.end_position(problem, start)
 
         def shown(policy: Policy) -> list[Motion]:
             if self.effort.minima > 1:
@@ -199,7 +199,7 @@ class Search:
             half = 0.5**level
             widths = half * WIDTH * (high - low), half * SPREAD * self.span
             tube = grids.tube_grid(problem, at.position, at.velocity, *widths, *self.nodes(problem, level))
-            end = starts.end_position(problem, self.task.end, start)
+            end = starts.end_position(problem, start)
             policy = value_function.solve(problem, tube, self.cost, end=end)
             moved = value_function.rollout(policy, value_function.best_start(policy) if start is None else start)
             found = self.judge(moved, f"tube of {widths[0]:.4f} m, {widths[1]:.4f} m/s")
@@ -334,7 +334,7 @@ class Search:
                 break
             self._polished.append(switches)
             with np.errstate(all="ignore"):  # a seed out of reach has no numbers there
-                answer, text = modes.solve(polisher, at, switches, free, fixed_end=self.task.end != "free")
+                answer, text = modes.solve(polisher, at, switches, free)
             if answer is None:
                 self.note(f"polish: {text}")
                 break
@@ -357,8 +357,7 @@ class Search:
         """Polish again with limits tightened by what a polished motion broke between the ends of its intervals."""
         use = judged.limit_use
         share = min(1.0, ROOM / use.velocity), min(1.0, ROOM / use.acceleration)
-        fixed = self.task.end != "free"
-        answer, text = modes.solve(polisher, judged.motion, switches, free, share, fixed)
+        answer, text = modes.solve(polisher, judged.motion, switches, free, share)
         if answer is None:
             return judged
         found = self.judge(answer, f"polish with tightened limits ({text})")
@@ -368,7 +367,7 @@ class Search:
     def ended(self, problem: Problem, seed: Motion) -> Motion:
         """A motion on a problem's stages that ends where the task asks."""
         at = stages.on_stages(problem, seed)
-        end = starts.end_position(problem, self.task.end, float(at.position[0]))
+        end = starts.end_position(problem, float(at.position[0]))
         return at if end is None else motion.ending_at(at, end)
 
     def polish_alone(self) -> Evaluation:

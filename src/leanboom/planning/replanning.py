@@ -49,7 +49,7 @@ class Search:
     @property
     def end(self) -> float | None:
         """Where the task ends [m]; None: anywhere."""
-        return starts.end_position(self.problem, self.problem.task.end, None)
+        return starts.end_position(self.problem, None)
 
     def score(self, judged: Evaluation) -> tuple[bool, float, float, float]:
         """Sorting key, the best first: as `ranking.rank`, then by cost."""

@@ -27,17 +27,17 @@ def start_position(problem: Problem, start: str | float) -> float | None:
     return length
 
 
-def end_position(problem: Problem, end: str | float, start: float | None) -> float | None:
+def end_position(problem: Problem, start: float | None) -> float | None:
     """The end of the redundant cylinder [m] that a task asks for; None for `free`, and for that of an open start.
 
     Args:
         problem: The discretised task.
-        end: The task's end.
         start: Where it starts [m]; None for `best`.
 
     Raises:
         InputError: If a given length, or the start to come back to, is outside the feasible extensions at the end.
     """
+    end = problem.task.end
     if end == "free" or (end == "same" and start is None):
         return None
     length = start if end == "same" and start is not None else _length(problem.intervals[-1], end)
@@ -57,7 +57,7 @@ def settled(task: Task, step: float) -> Task:
     if not isinstance(task.end, str) or task.end == "free":
         return task
     problem = stages.discretise(task, step)
-    end = end_position(problem, task.end, start_position(problem, task.start))
+    end = end_position(problem, start_position(problem, task.start))
     return task if end is None else replace(task, end=end)
 
 
