@@ -26,18 +26,18 @@ def test_example_fits_a_screen(path):
 def test_example_runs_and_writes_only_where_it_is_told(path, tmp_path):
     """Warnings are errors; one thread, because grids are small and other tests may want the rest."""
     here, folder = tmp_path / "here", tmp_path / "folder"
-    temporary = Path(tempfile.mkdtemp())  # short: sockets of processes have names of at most 100 characters
     for each in (here, folder):
         each.mkdir()
-    answer = subprocess.run(
-        [sys.executable, "-W", "error", str(path), str(folder)],
-        cwd=here,
-        env={**os.environ, "LEANBOOM_THREADS": "1", "TMPDIR": str(temporary)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    with tempfile.TemporaryDirectory() as temporary:  # short: names of sockets have at most 100 characters
+        answer = subprocess.run(
+            [sys.executable, "-W", "error", str(path), str(folder)],
+            cwd=here,
+            env={**os.environ, "LEANBOOM_THREADS": "1", "TMPDIR": temporary},
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
     assert answer.returncode == 0, answer.stderr
     assert answer.stderr == ""
     assert answer.stdout.count("\n") >= 3

@@ -1,10 +1,14 @@
-"""Resources of the computer: memory and cores."""
+"""Resources of the computer: memory, cores, and processes that share them."""
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import re
+import signal
 import sys
+from collections.abc import Sequence
+from typing import Any
 
 from leanboom.errors import InputError
 
@@ -62,3 +66,37 @@ def threads() -> int:
             raise InputError(f"LEANBOOM_THREADS = {wanted}; must be a whole number from 1 on")
         return int(wanted)
     return cores()
+
+
+def process_context(preloaded: Sequence[str]) -> Any:
+    """The way to start processes: from a server that has modules loaded where the system knows that.
+
+    Args:
+        preloaded: Names of modules that every process needs.
+    """
+    methods = multiprocessing.get_all_start_methods()
+    context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+    if context.get_start_method() == "forkserver":
+        context.set_forkserver_preload([*preloaded])
+    return context
+
+
+def quieten() -> None:
+    """What a process for calls of another one does first: no output, no interrupts, one thread.
+
+    Ctrl-C reaches the other process, which ends this one; solvers print, but output belongs to results. By default
+    numba shares a lock with further processes, which one that is ended would leave behind.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    silence = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silence, 1)
+    os.dup2(silence, 2)
+    multiprocessing.set_start_method("spawn", force=True)
+    single_thread()
+
+
+def single_thread() -> None:
+    """Keep this process to one thread, where several share the cores."""
+    import numba
+
+    numba.set_num_threads(1)

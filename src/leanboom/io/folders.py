@@ -127,14 +127,29 @@ def write(folder: Path, contents: Mapping[str, bytes]) -> None:
     with explained(folder):
         for name, content in contents.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            new = folder / f".leanboom-new-{secrets.token_hex(4)}"
-            try:
+            with whole(folder / name, folder) as new:
                 new.write_bytes(content)
-                new.replace(folder / name)
-            except BaseException:
-                with suppress(OSError):
-                    new.unlink()
-                raise
+
+
+@contextmanager
+def whole(file: Path, beside: Path | None = None) -> Iterator[Path]:
+    """Context in which a new file is written, which then takes a file's place; nothing is left of it on an error.
+
+    Args:
+        file: The file.
+        beside: The folder in which the new one is written; None: the file's own.
+
+    Yields:
+        The new file.
+    """
+    new = (beside or file.parent) / f".leanboom-new-{secrets.token_hex(4)}"
+    try:
+        yield new
+        new.replace(file)
+    except BaseException:
+        with suppress(OSError):
+            new.unlink()
+        raise
 
 
 @contextmanager

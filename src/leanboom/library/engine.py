@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import signal
 import threading
 import time
 from collections import Counter
@@ -19,7 +18,7 @@ from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
-from multiprocessing import connection, get_all_start_methods, get_context, parent_process, set_start_method
+from multiprocessing import connection, parent_process
 from pathlib import Path
 from typing import Any
 
@@ -314,11 +313,7 @@ class _Processes:
         """Have a sweep planned."""
         while True:
             if self._pool is None:
-                start = "forkserver" if "forkserver" in get_all_start_methods() else "spawn"
-                context: Any = get_context(start)
-                if start == "forkserver":
-                    context.set_forkserver_preload([__name__])
-                self._pool = ProcessPoolExecutor(self.workers, context, _begin)
+                self._pool = ProcessPoolExecutor(self.workers, resources.process_context([__name__]), _begin)
             try:
                 return self._pool.submit(work, sweep, near)
             except BrokenProcessPool:
@@ -337,11 +332,7 @@ class _Processes:
 
 def _begin() -> None:
     """What a process does first: one thread, no output, and an end together with the build's process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the build, which ends its processes
-    silence = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(silence, 1)
-    os.dup2(silence, 2)
-    set_start_method("spawn", force=True)  # or numba would share a lock with further processes
+    resources.quieten()
     single_thread()
     parent = parent_process()
     if parent is not None:
@@ -356,10 +347,8 @@ def _end_with(sentinel: int) -> None:
 
 def single_thread() -> None:
     """Keep a worker to one thread: several of them share the cores."""
-    import numba
-
     os.environ["LEANBOOM_THREADS"] = "1"
-    numba.set_num_threads(1)
+    resources.single_thread()
 
 
 class _Dask:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import secrets
 from collections import defaultdict
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import fmean
@@ -128,15 +125,8 @@ def export(store: Store, out: Path) -> int:
     if out.exists():
         raise InputError(f"out = {out}; is there already: give a new file")
     entries = store.entries("segment NOTNULL ORDER BY segment, row")
-    new = out.with_name(f".leanboom-new-{secrets.token_hex(4)}")
-    with folders.explained(out):
-        try:
-            (_write_csv if out.suffix == ".csv" else _write_parquet)(store, entries, new)
-            os.replace(new, out)
-        except BaseException:
-            with suppress(OSError):
-                new.unlink()
-            raise
+    with folders.explained(out), folders.whole(out) as new:
+        (_write_csv if out.suffix == ".csv" else _write_parquet)(store, entries, new)
     return len(entries)
 
 

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from leanboom.errors import InputError, LeanboomError
+from leanboom.io import folders
 from leanboom.model import motion
 from leanboom.model.motion import Motion
 
@@ -383,19 +384,12 @@ class Store:
         from pyarrow import parquet
 
         name = f"{secrets.token_hex(8)}.parquet"
-        path = self.folder / SEGMENTS / name
-        new = path.with_suffix(".new")
-        try:
+        with folders.whole(self.folder / SEGMENTS / name) as new:
             with new.open("wb") as file:
                 parquet.write_table(table, file, row_group_size=ROWS, compression="none", use_dictionary=False)
                 file.flush()
                 os.fsync(file.fileno())
             size, digest = new.stat().st_size, _digest(new)
-            new.replace(path)
-        except BaseException:
-            with suppress(OSError):
-                new.unlink()
-            raise
         return name, table.num_rows, size, digest
 
 

@@ -6,8 +6,6 @@ command ends them all. Each process uses one thread, so that several do not figh
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import signal
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -59,10 +57,7 @@ def each(
     Raises:
         LeanboomError: If processes cannot start.
     """
-    methods = multiprocessing.get_all_start_methods()
-    context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
-    if context.get_start_method() == "forkserver":
-        context.set_forkserver_preload([*PRELOADED])
+    context = resources.process_context(PRELOADED)
     waiting = list(range(len(arguments)))[::-1]
     results = [CallResult() for _ in arguments]
     running: dict[Any, tuple[int, Any, list]] = {}
@@ -117,17 +112,9 @@ def _listen(pipe: Any, process: Any, said: list) -> CallResult | None:
 
 def _call(pipe: Any, function: Callable[[Any], Any], argument: Any) -> None:
     """Main function of a process: call the function on one thread and send the result."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which ends its processes
+    resources.quieten()
     pipe.send((STARTING, None))
-    silence = os.open(os.devnull, os.O_WRONLY)  # solvers print; standard output belongs to the results
-    os.dup2(silence, 1)
-    os.dup2(silence, 2)
     try:
-        import numba
-
-        # By default numba shares a lock with further processes, which one that is ended would leave behind.
-        multiprocessing.set_start_method("spawn", force=True)
-        numba.set_num_threads(1)
         answer = VALUE, function(argument)
     except LeanboomError as error:
         answer = REFUSAL, str(error)
