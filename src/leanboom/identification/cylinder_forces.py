@@ -14,7 +14,7 @@ import numpy as np
 
 from leanboom.formulas import dynamics
 from leanboom.identification.base_parameters import BASE, Motion, base_map, condition, moment_columns, moments
-from leanboom.identification.estimates import KNOWN, Estimate, Fit, blocks_of, compare, covariance, kept
+from leanboom.identification.estimates import KNOWN, Estimate, Fit, Series, blocks_of, compare, covariance, kept
 from leanboom.identification.logs.conditioning import Data
 from leanboom.model import crane as cranes
 from leanboom.model.crane import Crane
@@ -40,7 +40,7 @@ class Forces:
     machine: Machine
     estimates: tuple[Estimate, ...]
     fits: tuple[Fit, ...]
-    series: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]  # time, measured, model, training
+    series: dict[str, Series]  # time, measured, model, training
     rank: int
     condition: float
     correlations: tuple[tuple[str, str, float], ...]
@@ -116,15 +116,14 @@ def _rows(data: Data, machine: Machine, bodies: Sequence[Body]) -> list[_Rows]:
         begin, end = time[inside][0], time[inside][-1]
         training |= inside & (time <= begin + TRAINING * (end - begin))
     found = []
-    for i, (joint, cylinder) in enumerate(zip(machine.joints, machine.cylinders, strict=True)):
+    for i, joint in enumerate(machine.joints):
         force = measured_force(data, machine, i)
         position = f"{joint.name}_position"
         if force is None or position not in data.channels:
             continue
         if np.ptp(data.channels[position][data.inner]) < LEAST_TRAVEL * (joint.upper - joint.lower):
             continue
-        arm = cylinder.linkage.length_arm_slope(data.channels[position])[1]
-        velocity = arm * data.rates[position]
+        velocity, _ = cylinder_motion(data, machine, i)
         moving = (np.abs(velocity) > MOVING) & data.inner & data.usable[joint.name]
         for other in machine.names:
             moving &= data.usable[other] | (f"{other}_position" not in data.channels)
@@ -138,6 +137,20 @@ def _rows(data: Data, machine: Machine, bodies: Sequence[Body]) -> list[_Rows]:
             time[moving], block[moving], training[moving], part[moving],
         ))  # fmt: skip
     return [each for each in found if each.force.size > 50 and each.training.sum() > 30]
+
+
+def cylinder_motion(data: Data, machine: Machine, i: int) -> tuple[np.ndarray, np.ndarray]:
+    """Velocity [m/s] and acceleration [m/s^2] of a cylinder, (samples,) each, eqs. (11)-(12).
+
+    Args:
+        data: The logs, with the position of its joint.
+        machine: The machine, for the linkage.
+        i: Number of the cylinder.
+    """
+    position = f"{machine.names[i]}_position"
+    _, arm, slope = machine.cylinders[i].linkage.length_arm_slope(data.channels[position])
+    rate = data.rates[position]
+    return arm * rate, slope * rate**2 + arm * data.accelerations[position]
 
 
 def measured_force(data: Data, machine: Machine, i: int) -> np.ndarray | None:
@@ -427,8 +440,7 @@ class _Problem:
             if known
             else (f"to tell it, {motion}" if motion else "only sums over bodies are told: see the base parameters")
         )
-        low, high = (value - half, value + half) if known else (None, None)
-        return Estimate(name, float(value), low, high, bool(known), note)
+        return Estimate.within(name, value, half, bool(known), note)
 
     def _machine(self) -> Machine:
         values = [kept(value) for value in self.x.tolist()]

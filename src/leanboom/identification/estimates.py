@@ -15,6 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+Series = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # time, measured, model, whether used for fitting
+
 BLOCK = 2.0  # [s]
 CONFIDENCE = 0.95
 KNOWN = 0.05  # share of the prior variance that may be left
@@ -30,6 +32,20 @@ class Estimate:
     high: float | None
     identifiable: bool
     note: str = ""  # which motion would tell it, or what it means
+
+    @classmethod
+    def within(cls, name: str, value: float, half: float, told: bool = True, note: str = "") -> Estimate:
+        """A value in the middle of its interval.
+
+        Args:
+            name: Its name.
+            value: The value.
+            half: Half the width of the interval.
+            told: Whether the data tell it; if not, it has no interval.
+            note: Which motion would tell it, or what it means.
+        """
+        low, high = (float(value - half), float(value + half)) if told else (None, None)
+        return cls(name, float(value), low, high, told, note)
 
     def json(self) -> dict[str, float | bool | None]:
         """What `--json` says of it."""
@@ -87,6 +103,20 @@ def blocks_of(time: np.ndarray, part: np.ndarray) -> np.ndarray:
     """
     labels = np.stack([part, np.floor(time / BLOCK).astype(int)], axis=1)
     return np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def beginnings(part: np.ndarray, share: float) -> np.ndarray:
+    """Mask of the first samples of every part, (samples,).
+
+    Args:
+        part: Uninterrupted parts, (samples,).
+        share: How many of a part's samples.
+    """
+    found = np.zeros(part.size, bool)
+    for each in np.unique(part):
+        inside = np.flatnonzero(part == each)
+        found[inside[: int(share * inside.size)]] = True
+    return found
 
 
 def covariance(

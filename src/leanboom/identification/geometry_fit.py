@@ -10,7 +10,7 @@ import numpy as np
 from leanboom.components.linkages import Linkage, Polynomial
 from leanboom.errors import InputError
 from leanboom.identification.cylinder_forces import LEAST_TRAVEL
-from leanboom.identification.estimates import KNOWN, Estimate, Fit, blocks_of, compare, covariance, kept
+from leanboom.identification.estimates import KNOWN, Estimate, Fit, Series, blocks_of, compare, covariance, kept
 from leanboom.identification.logs.conditioning import Data
 from leanboom.model.machine import Machine
 from leanboom.quantities.declarations import declared
@@ -26,7 +26,7 @@ class Geometry:
     machine: Machine
     estimates: tuple[Estimate, ...]
     fits: tuple[Fit, ...]
-    series: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
+    series: dict[str, Series]
 
 
 def fit(data: Data, machine: Machine) -> Geometry | None:
@@ -106,9 +106,7 @@ def _solve(
         value = float(found.x[j])
         note = "" if known else "lengths alone do not tell it: measure it, or move the joint over more of its range"
         key = f"cylinders.{joint}.linkage.{name}"
-        estimates.append(
-            Estimate(key, value, value - half if known else None, value + half if known else None, known, note)
-        )
+        estimates.append(Estimate.within(key, value, half, known, note))
     return changed(np.array([kept(value) for value in found.x])), estimates
 
 

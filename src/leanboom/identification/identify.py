@@ -13,7 +13,7 @@ import numpy as np
 
 from leanboom.errors import InputError
 from leanboom.identification import base_parameters, cylinder_forces, geometry_fit, pump_fit, valve_fit
-from leanboom.identification.estimates import Estimate, Fit
+from leanboom.identification.estimates import Estimate, Fit, Series
 from leanboom.identification.logs import conditioning
 from leanboom.identification.logs.checks import Finding, check, refuse
 from leanboom.identification.logs.conditioning import Data
@@ -22,8 +22,6 @@ from leanboom.model.machine import Machine, Provenance
 from leanboom.progress import Progress, quiet
 from leanboom.quantities.declarations import declared
 from leanboom.quantities.units import KINDS, Kind, write
-
-Series = Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +33,7 @@ class Identification:
     logs: tuple[Log, ...]
     estimates: tuple[Estimate, ...]
     fits: tuple[Fit, ...]
-    series: Series  # by signal: times, measured, model, whether used for fitting
+    series: Mapping[str, Series]  # by signal
     feed_forward: Mapping[str, np.ndarray]  # by joint: velocity [m/s] and command, (points, 2)
     findings: tuple[Finding, ...]
     said: tuple[str, ...]  # what was done, and what cannot be told

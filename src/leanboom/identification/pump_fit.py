@@ -14,8 +14,18 @@ import numpy as np
 
 from leanboom.components.cylinders import Connection
 from leanboom.formulas import fluid
-from leanboom.identification.cylinder_forces import TRAINING, measured_force
-from leanboom.identification.estimates import Estimate, Fit, blocks_of, compare, covariance, kept, linear_fit
+from leanboom.identification.cylinder_forces import TRAINING, cylinder_motion, measured_force
+from leanboom.identification.estimates import (
+    Estimate,
+    Fit,
+    Series,
+    beginnings,
+    blocks_of,
+    compare,
+    covariance,
+    kept,
+    linear_fit,
+)
 from leanboom.identification.logs.conditioning import Data
 from leanboom.model.machine import Machine
 from leanboom.simulation.plant import retracted
@@ -35,7 +45,7 @@ class PumpFit:
     machine: Machine
     estimates: tuple[Estimate, ...]
     fits: tuple[Fit, ...]
-    series: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
+    series: dict[str, Series]
     remarks: tuple[str, ...]
 
 
@@ -49,21 +59,16 @@ def fit(data: Data, machine: Machine) -> PumpFit | None:
     every = max(1, round(data.rate / RATE))
     keep = data.inner[::every].copy()
     velocities, forces = [], []
-    for i, (name, cylinder) in enumerate(zip(machine.names, machine.cylinders, strict=True)):
-        position = f"{name}_position"
-        if position not in data.channels:
+    for i, name in enumerate(machine.names):
+        if f"{name}_position" not in data.channels:
             velocities.append(np.zeros(keep.size))
         else:
-            arm = cylinder.linkage.length_arm_slope(data.channels[position])[1]
-            velocities.append((arm * data.rates[position])[::every])
+            velocities.append(cylinder_motion(data, machine, i)[0][::every])
             keep &= data.usable[name][::every]
         force = measured_force(data, machine, i)
         forces.append(None if force is None else force[::every])
-    training = np.zeros(keep.size, bool)
     part = data.part[::every]
-    for each in np.unique(part):
-        inside = np.flatnonzero(part == each)
-        training[inside[: int(TRAINING * inside.size)]] = True
+    training = beginnings(part, TRAINING)
     block = blocks_of(data.time[::every], part)
     rows = _Rows(data.time[::every], part, keep, training, block, velocities, forces)
     found = [part for part in (_flow(data, machine, every, rows), _supply(data, machine, every, rows)) if part]
@@ -98,7 +103,7 @@ def pressed(data: Data, machine: Machine, i: int, side: str) -> np.ndarray | Non
     x = cylinder.linkage.length_arm_slope(position)[0] - shortest
     area = cylinder.areas[side == "b"]
     volume = fluid.chamber_volume(machine.circuit.dead_volume, area, x if side == "a" else travel - x)
-    return volume * np.concatenate([np.gradient(part, 1.0 / data.rate) for part in data.split(pressure)])
+    return volume * data.slope(pressure)
 
 
 def _compressed(data: Data, machine: Machine, rows: _Rows, every: int) -> np.ndarray:
@@ -112,8 +117,7 @@ def _compressed(data: Data, machine: Machine, rows: _Rows, every: int) -> np.nda
         if b is not None and cylinder.connection is not Connection.SINGLE_ACTING:
             total += b[::every] * (back | (out & (cylinder.connection is Connection.DIFFERENTIAL)))
     if "supply" in data.channels:
-        supply = np.concatenate([np.gradient(part, 1.0 / data.rate) for part in data.split(data.channels["supply"])])
-        total += machine.circuit.line_volume * supply[::every]
+        total += machine.circuit.line_volume * data.slope(data.channels["supply"])[::every]
     return total
 
 
@@ -180,7 +184,7 @@ def _flow(data: Data, machine: Machine, every: int, rows: _Rows) -> PumpFit | No
         if name == BULK:
             machine = _bulk(machine, float(value), float(width), estimates)
             continue
-        estimates.append(Estimate(name, float(value), float(value - width), float(value + width), True))
+        estimates.append(Estimate.within(name, value, width))
         if name.startswith("cylinders"):
             area = drawn[j]
             if abs(value - area) > width + DIFFERS * max(area, float(values.max()) * 0.2):
@@ -272,14 +276,8 @@ def _supply(data: Data, machine: Machine, every: int, rows: _Rows) -> PumpFit | 
     told = np.exp(ends)
     known = ends[0] > low and ends[1] < high
     estimates = [
-        Estimate("pump.ls_margin", float(found.x[0]), float(found.x[0] - half[0]), float(found.x[0] + half[0]), True),
-        Estimate(
-            "simulation.pump_time_constant",
-            float(found.x[1]),
-            float(found.x[1] - half[1]),
-            float(found.x[1] + half[1]),
-            True,
-        ),
+        Estimate.within("pump.ls_margin", found.x[0], half[0]),
+        Estimate.within("simulation.pump_time_constant", found.x[1], half[1]),
         Estimate(
             "verification.driven_velocity",
             epsilon,

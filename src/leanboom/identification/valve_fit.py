@@ -15,8 +15,18 @@ import numpy as np
 
 from leanboom.components.valves import Connection, MobileValve
 from leanboom.formulas import fluid
-from leanboom.identification.cylinder_forces import TRAINING, measured_force
-from leanboom.identification.estimates import Estimate, Fit, blocks_of, compare, covariance, interval_factor, kept
+from leanboom.identification.cylinder_forces import TRAINING, cylinder_motion, measured_force
+from leanboom.identification.estimates import (
+    Estimate,
+    Fit,
+    Series,
+    beginnings,
+    blocks_of,
+    compare,
+    covariance,
+    interval_factor,
+    kept,
+)
 from leanboom.identification.logs.conditioning import Data
 from leanboom.identification.pump_fit import pressed
 from leanboom.model.machine import Machine
@@ -39,7 +49,7 @@ class Valves:
     machine: Machine
     estimates: tuple[Estimate, ...]
     fits: tuple[Fit, ...]
-    series: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
+    series: dict[str, Series]
     feed_forward: dict[str, np.ndarray]  # by joint: velocity [m/s], command; (points, 2)
     wrong_way: tuple[str, ...]  # joints that move against their command
 
@@ -90,11 +100,10 @@ class _Cylinder:
     def __init__(self, data: Data, machine: Machine, i: int):
         self.data, self.machine, self.i = data, machine, i
         self.name, cylinder = machine.names[i], machine.cylinders[i]
-        position = data.channels[f"{self.name}_position"]
-        self.velocity = cylinder.linkage.length_arm_slope(position)[1] * data.rates[f"{self.name}_position"]
-        self.velocity = self.velocity + _given_up(data, machine, i, self.velocity)
+        velocity, _ = cylinder_motion(data, machine, i)
+        self.velocity = velocity + _given_up(data, machine, i, velocity)
         self.command = data.channels[f"{self.name}_command"]
-        self.root = np.ones(position.size)
+        self.root = np.ones(velocity.size)
         pressure = data.channels.get(f"{self.name}_pressure_a")
         if cylinder.connection is Connection.SINGLE_ACTING and pressure is not None:
             back = machine.pump.tank_pressure + machine.circuit.counter_pressure
@@ -119,10 +128,7 @@ class _Cylinder:
         sure = fast & (np.abs(late) > 0.3)
         agree = np.mean(late[sure] * self.velocity[sure] > 0.0) if sure.any() else 1.0
         self.against = bool(sure.sum() > 2 * data.rate and agree < 0.3)
-        self.training = np.zeros(position.size, bool)
-        for part in np.unique(data.part):
-            inside = np.flatnonzero(data.part == part)
-            self.training[inside[: int(TRAINING * inside.size)]] = True
+        self.training = beginnings(data.part, TRAINING)
 
     def _delayed(self, delay: float) -> np.ndarray:
         times = np.arange(self.command.size) / self.data.rate
@@ -209,10 +215,7 @@ class _Cylinder:
                 self.fit.rms_percent < WORST and free and np.isfinite(half) and half < 0.5 * max(abs(value), 0.05)
             )
             note = "" if sure else "to tell it, drive this cylinder both ways from rest in steps of the command"
-            found.append(Estimate(
-                f"valve.{self.name}.{name}", float(value), float(value - half) if sure else None,
-                float(value + half) if sure else None, sure, note,
-            ))  # fmt: skip
+            found.append(Estimate.within(f"valve.{self.name}.{name}", value, half, sure, note))
         return found
 
     def table(self) -> np.ndarray:
@@ -255,7 +258,7 @@ def _circuit(machine: Machine, found: Sequence[_Cylinder]):
         ]
         if pairs:
             value, half = _pooled(np.array(pairs))
-            estimates.append(Estimate(f"simulation.{name}", value, value - half, value + half, True))
+            estimates.append(Estimate.within(f"simulation.{name}", value, half))
             circuit = replace(circuit, **{name: kept(value)})
         else:
             note = "to tell it, drive cylinders from rest in steps of the command"
@@ -268,7 +271,7 @@ def _circuit(machine: Machine, found: Sequence[_Cylinder]):
                 pairs.append((c.x[j] * area, c.half[j] * area))
     if pairs:
         value, half = _pooled(np.array(pairs))
-        estimates.append(Estimate("simulation.edge_flow", value, value - half, value + half, True))
+        estimates.append(Estimate.within("simulation.edge_flow", value, half))
         circuit = replace(circuit, edge_flow=kept(value))
     return circuit, estimates
 
@@ -302,10 +305,7 @@ def back_pressures(data: Data, machine: Machine) -> list[Estimate]:
         force = measured_force(data, machine, i)
         if force is None or a is None or b is None or f"{name}_position" not in data.channels:
             continue
-        _, arm, slope = cylinder.linkage.length_arm_slope(data.channels[f"{name}_position"])
-        rate = data.rates[f"{name}_position"]
-        v = arm * rate
-        acceleration = slope * rate**2 + arm * data.accelerations[f"{name}_position"]
+        v, acceleration = cylinder_motion(data, machine, i)
         steady = data.inner & data.usable[name] & (np.abs(acceleration) < STEADY_ACCELERATION)
         floor = back if tank is None else tank
         area_a, area_b = cylinder.areas

@@ -45,6 +45,14 @@ class Data:
         """
         return np.concatenate([_filter(part, self.rate, self.cutoff) for part in self.split(values)])
 
+    def slope(self, values: np.ndarray) -> np.ndarray:
+        """Derivatives of values by time, in each part by itself.
+
+        Args:
+            values: Over all parts, (samples,).
+        """
+        return np.concatenate([np.gradient(part, 1.0 / self.rate) for part in self.split(values)])
+
     def split(self, values: np.ndarray) -> list[np.ndarray]:
         """Values by parts.
 
