@@ -7,19 +7,13 @@ from typing import Annotated, Any
 
 import typer
 
-from leanboom.cli.terminal import Json, Progress, complain, duration, listed, print_json
+from leanboom.cli.terminal import Json, Progress, bundled, complain, duration, listed, print_json
 from leanboom.errors import InputError, LeanboomError
 
 commands = typer.Typer(no_args_is_help=True, help="Build a library of motions, and look motions up in it.")
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a library.")]
 Pump = Annotated[str, typer.Option(metavar="NAME", help="Whose energy counts: ls or cp.")]
-
-
-def _specifications(incomplete: str) -> list[str]:
-    from leanboom.io import loading
-
-    return [name for name in loading.bundled_libraries() if name.startswith(incomplete)]
 
 
 @commands.command()
@@ -29,7 +23,7 @@ def build(
         typer.Argument(
             metavar="SPEC",
             help="A bundled specification (forwarder-small, forwarder-work-area) or a file.",
-            autocompletion=_specifications,
+            autocompletion=bundled("library"),
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="The library's folder: new, or one to go on with.")],
@@ -59,7 +53,7 @@ def build(
     if as_json:
         print_json(summary.json())
     else:
-        _say(
+        typer.echo(
             f"{summary.total} motions: {summary.solved} solved, {summary.infeasible} infeasible, "
             f"{summary.failed} failed; {summary.reused} were there already. {summary.build_s:.1f} s. "
             f"Report: {out / library_page.PAGE}"
@@ -81,15 +75,15 @@ def info(folder: Folder, as_json: Json = False) -> None:
     if as_json:
         print_json(seen.json())
         return
-    _say(
+    typer.echo(
         f"{seen.name} of machine {seen.machine}: {seen.motions} motions, {seen.solved} solved, along {seen.ways} ways; "
         f"{seen.size_bytes / 1e6:.1f} MB"
     )
-    _say(f"durations: {', '.join(f'{each:g} s' for each in seen.durations)}")
-    _say(f"payloads: {', '.join(f'{each:g} kg' for each in seen.payloads)}")
-    _say(f"pumps: {', '.join(seen.pumps)}")
+    typer.echo(f"durations: {', '.join(f'{each:g} s' for each in seen.durations)}")
+    typer.echo(f"payloads: {', '.join(f'{each:g} kg' for each in seen.payloads)}")
+    typer.echo(f"pumps: {', '.join(seen.pumps)}")
     if seen.mean_saving is not None:
-        _say(f"mean saving against the pseudo-inverse: {100 * seen.mean_saving:.1f} %")
+        typer.echo(f"mean saving against the pseudo-inverse: {100 * seen.mean_saving:.1f} %")
 
 
 @commands.command()
@@ -167,15 +161,15 @@ def _answer(found: Any, others: list) -> dict[str, Any]:
 def _print_answer(numbers: dict[str, Any]) -> None:
     kept = "led over and polished" if numbers["polished"] else "as stored"
     energy = "-" if numbers["energy_j"] is None else f"{numbers['energy_j'] / 1e3:.2f} kJ"
-    _say(
+    typer.echo(
         f"{numbers['duration_s']:g} s, {energy} ({numbers['pump']}), extension {numbers['start_m']:.3f} m -> "
         f"{numbers['end_m']:.3f} m, {kept}, {numbers['apart_m']:.3f} m from a stored way"
     )
     if numbers["more_than_fresh"] is not None:
-        _say(f"{100 * numbers['more_than_fresh']:+.2f} % against a fresh plan")
-    _say("Energy against duration along the stored way:")
+        typer.echo(f"{100 * numbers['more_than_fresh']:+.2f} % against a fresh plan")
+    typer.echo("Energy against duration along the stored way:")
     for row in numbers["movement"]:
-        _say(
+        typer.echo(
             f"  {row['duration_s']:6.1f} s  {row['payload_kg']:6.0f} kg  start {row['start']:>8}  "
             f"{row['energy_j'] / 1e3:8.2f} kJ"
         )
@@ -197,7 +191,7 @@ def verify(
     if as_json:
         print_json(numbers)
     else:
-        _say(f"{seen.checked} motions judged: {len(seen.wrong)} wrong; {len(seen.damaged)} damaged files")
+        typer.echo(f"{seen.checked} motions judged: {len(seen.wrong)} wrong; {len(seen.damaged)} damaged files")
     if seen.wrong or seen.damaged:
         raise LeanboomError(f"library = {folder}; is not as it was written: build it again, which plans what is lost")
 
@@ -213,11 +207,7 @@ def export(
 
     with Library(folder) as library:
         count = write(library.store, out)
-    _say(f"{count} motions in {out}")
-
-
-def _say(text: str) -> None:
-    typer.echo(text)
+    typer.echo(f"{count} motions in {out}")
 
 
 def _place(name: str, text: str) -> tuple[float, float, float]:

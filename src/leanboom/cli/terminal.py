@@ -27,7 +27,11 @@ def bundled(*kinds: str) -> Callable[[str], list[str]]:
     def complete(incomplete: str) -> list[str]:
         from leanboom.io import loading
 
-        names = {"machine": loading.bundled_machines, "task": loading.bundled_tasks}
+        names = {
+            "machine": loading.bundled_machines,
+            "task": loading.bundled_tasks,
+            "library": loading.bundled_libraries,
+        }
         return [name for kind in kinds for name in names[kind]() if name.startswith(incomplete)]
 
     return complete

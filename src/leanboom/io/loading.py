@@ -79,13 +79,9 @@ def load_task(name_or_path: str | Path, *, start: str | float | None = None, end
     from leanboom.io.schema import TaskKeys
     from leanboom.model.task import Task
 
-    path, source = _open("task", name_or_path)
-    keys = _section(TaskKeys, source)
-    machine, others = _machine_of(source, path.parent)
-    check_task(source, machine)
-    name = _name(keys, source, path)
-    source.report(*others)
-    assert keys is not None and machine is not None  # else reported
+    name, keys, machine, text = load_keys(
+        "task", name_or_path, TaskKeys, lambda source, keys, machine: check_task(source, machine)
+    )
     return Task(
         name=name,
         machine=machine,
@@ -94,12 +90,12 @@ def load_task(name_or_path: str | Path, *, start: str | float | None = None, end
         start=keys.start if start is None else start,
         end=keys.end if end is None else end,
         smooth=keys.smooth,
-        source=source.text,
+        source=text,
     )
 
 
 def load_keys(
-    kind: str, name_or_path: str | Path, made: type, check: Callable[[Source, Any, Machine], None]
+    kind: str, name_or_path: str | Path, made: type, check: Callable[[Source, Any, Machine | None], None]
 ) -> tuple[str, Any, Machine, str]:
     """A file that names a machine, read and checked as a whole.
 
@@ -107,7 +103,7 @@ def load_keys(
         kind: What it is, for messages and bundled names: "task" or "library".
         name_or_path: Name of a bundled file, or a file.
         made: The dataclass of its keys.
-        check: Notes what does not fit together, once the keys and the machine are right in themselves.
+        check: Notes what does not fit together; keys or machine are None where they are wrong in themselves.
 
     Returns:
         Its name, its keys, its machine and its text.
@@ -118,8 +114,7 @@ def load_keys(
     path, source = _open(kind, name_or_path)
     keys = _section(made, source)
     machine, others = _machine_of(source, path.parent)
-    if keys is not None and machine is not None:
-        check(source, keys, machine)
+    check(source, keys, machine)
     name = _name(keys, source, path)
     source.report(*others)
     assert keys is not None and machine is not None  # else reported

@@ -224,7 +224,9 @@ def load(name_or_path: str | FilePath, workers: int = 1, most: int = MOST) -> Sp
     """
     unreachable: list[tuple] = []
 
-    def check(source: Source, keys: LibraryKeys, machine: Machine) -> None:
+    def check(source: Source, keys: LibraryKeys | None, machine: Machine | None) -> None:
+        if keys is None or machine is None:
+            return
         _check_amount(source.name, keys, workers, most)
         for key in ("origins", "goals"):
             unreachable.extend(_check_places(source, key, getattr(keys, key), machine))
