@@ -145,12 +145,12 @@ def _data(run: Simulation) -> dict[str, Any]:
         found, target = run.joint_position[at, j], run.joint_target[at, j]
         chambers = dict(zip(PORTS, (1e-6 * run.pressure_a[at, j], 1e-6 * run.pressure_b[at, j]), strict=True))
         ports = dict(zip(PORTS, commands[at, j].T, strict=False))
-        velocity, counted = moving * plan.velocity[there, j], 1e-6 * moving * plan.pressure[there, j]
+        velocity, demanded = moving * plan.velocity[there, j], 1e-6 * moving * plan.pressure[there, j]
         for rows, row, axis, of, lines, planned in (
             (joints, "Positions", "position", unit, {SIMULATED: found}, target),
             (joints, "Errors", "error", small, {SIMULATED: 1e3 * (found - target)}, None),
             (joints, "Piston velocities", "velocity", "m/s", {SIMULATED: run.velocity[at, j]}, velocity),
-            (cylinders, "Chamber pressures", "pressure", "MPa", chambers, counted),
+            (cylinders, "Chamber pressures", "pressure", "MPa", chambers, demanded),
             (
                 cylinders,
                 "Valve commands",
