@@ -64,7 +64,7 @@ def test_help_fits_80_columns_and_names_arguments_plainly(command):
         ("leanboom plan forwarder-v", ["forwarder-vertical"]),
         ("leanboom check loader", [name for name in ("loader", *loading.bundled_tasks()) if name.startswith("loader")]),
         ("leanboom machines ", ["forwarder", "loader"]),
-        ("leanboom plan --pu", ["--pump"]),
+        ("leanboom plan --pu", ["--pump", "--pump-flow-limit"]),
         ("leanboom cert", ["certify"]),
     ],
 )

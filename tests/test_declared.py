@@ -310,7 +310,8 @@ def test_the_simulation_of_the_files_page_has_the_defaults_of_each_valve():
 def test_the_task_of_the_files_page_has_the_declared_keys():
     paths = {key: field for each in Variant(PATHS).sections for key, field in keys(each, "path.").items()}
     task = keys(Section(TaskKeys))
-    expected = [*list(task)[:3], "path.type", *paths, *list(task)[4:]]
+    limits = keys(task.pop("limits").rule, "limits.")
+    expected = [*list(task)[:3], "path.type", *paths, *list(task)[4:], *limits]
     rows = TABLES["Task file"][1:]
     assert [row[0].strip("`") for row in rows] == expected
     for name in ("payload", "smooth"):

@@ -40,7 +40,7 @@ def test_summary_has_the_agreed_keys_and_types(plan):
         "task", "machine", "pump", "cost", "method", "start_m", "end_m", "status", "duration_s", "energy_j",
         "energy_ls_j", "energy_cp_j", "limit_use", "path_error_m", "solve_s", "peak_memory_bytes", "out",
     ]  # fmt: skip
-    assert list(found["limit_use"]) == ["position", "velocity", "acceleration"]
+    assert list(found["limit_use"]) == ["position", "velocity", "acceleration", "flow"]
     words = {key: value for key, value in found.items() if isinstance(value, str)}
     assert words == {
         "task": "forwarder-vertical", "machine": "forwarder", "pump": "ls", "cost": "ls", "method": "dp",

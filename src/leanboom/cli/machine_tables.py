@@ -100,6 +100,7 @@ def task_facts(task: Task) -> dict[str, Any]:
         "start": task.start,
         "end": task.end,
         "smooth_hz": task.smooth,
+        "limits": {"pump_flow": task.limits.pump_flow},
     }
 
 

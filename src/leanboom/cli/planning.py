@@ -11,6 +11,7 @@ from leanboom.cli.terminal import (
     GRID,
     STEP,
     End,
+    FlowLimit,
     Json,
     Progress,
     Pump,
@@ -48,6 +49,7 @@ def plan(
     ] = "dp",
     start: Start = None,
     end: End = None,
+    flow_limit: FlowLimit = False,
     grid: Annotated[
         str, typer.Option(metavar="PxV", help="Positions and velocities of the extension on the coarse grid.")
     ] = GRID,
@@ -86,7 +88,7 @@ def plan(
     from leanboom.io import loading
     from leanboom.report import run_folder
 
-    asked = loading.load_task(task, start=start, end=end)
+    asked = loading.load_task(task, start=start, end=end, pump_flow_limit=flow_limit or None)
     from dataclasses import replace
 
     from leanboom.certificate import certificate
@@ -132,6 +134,7 @@ def certify(
     pump: Pump = "ls",
     start: Start = None,
     end: End = None,
+    flow_limit: FlowLimit = False,
     step: Step = STEP,
     seconds: Annotated[
         str,
@@ -151,7 +154,7 @@ def certify(
 
     limit, least = duration("seconds", seconds), percent("gap", gap)
     certificate.check(pump, stage, limit, least)
-    asked = loading.load_task(task, start=start, end=end)
+    asked = loading.load_task(task, start=start, end=end, pump_flow_limit=flow_limit or None)
     with Progress() as tell:
         result = planner.run(asked, pump=pump, step=stage, baseline=False, progress=tell)
         proof = certificate.certify(

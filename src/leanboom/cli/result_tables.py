@@ -100,7 +100,8 @@ def _use(judged: Evaluation) -> str:
     where = f" ({limits.at_ends(found)})" if found else ""
     return (
         f"position {100 * use.position:.1f} %{where}, velocity {100 * use.velocity:.1f} %, "
-        f"acceleration {100 * use.acceleration:.1f} %"
+        f"acceleration {100 * use.acceleration:.1f} %, pump flow {100 * use.flow:.1f} %"
+        f"{'' if use.flow_limited else ' (not a limit)'}"
     )
 
 

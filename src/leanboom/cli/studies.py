@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from leanboom.cli.terminal import Json, Progress, Task, complain, listed, print_json
+from leanboom.cli.terminal import FlowLimit, Json, Progress, Task, complain, listed, print_json
 
 
 def compare(
@@ -29,6 +29,7 @@ def compare(
             "take minutes, as {slow} does.",
         ),
     ] = None,
+    flow_limit: FlowLimit = False,
     simulate: Annotated[
         bool, typer.Option("--simulate", help="Also drive every motion in closed loop, for a column of its own.")
     ] = False,
@@ -46,7 +47,7 @@ def compare(
     pumps = listed(pump)
     chosen = None if methods is None else listed(methods)
     comparison.entries(chosen, pumps)
-    asked = loading.load_task(task)
+    asked = loading.load_task(task, pump_flow_limit=flow_limit or None)
     starts = None if start is None else [loading.load_task(task, start=each).start for each in listed(start)]
     with Progress(steps=True) as tell, papers_page.reserved(out):
         result = comparison.compare(asked, pumps, start=starts, methods=chosen, simulate=simulate, progress=tell)

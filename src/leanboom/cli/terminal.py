@@ -62,6 +62,10 @@ End = Annotated[
         "By default what the task says.",
     ),
 ]
+FlowLimit = Annotated[
+    bool,
+    typer.Option("--pump-flow-limit", help="Keep the flow of all cylinders within the pump's max_flow at all times."),
+]
 Step = Annotated[str, typer.Option(metavar="TIME", help="Length of a stage, in seconds.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
 

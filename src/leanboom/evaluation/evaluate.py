@@ -22,6 +22,7 @@ from leanboom.model import crane as cranes
 from leanboom.model.cost_rates import demanded_pressure, rate, supply_of
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import SOLVED, Kind, Outcome
+from leanboom.model.pump_flow import pump_flow
 from leanboom.model.task import Task, sample
 
 __all__ = ["PATH_TOLERANCE", "SAMPLE", "TOLERANCE", "Evaluation", "LimitUse", "evaluate", "judged_cost"]
@@ -190,11 +191,11 @@ def _evaluate(task: Task, motion: Motion) -> Evaluation:
     pressure, flow = hydraulic_state(crane, velocity, force)
 
     pump = machine.pump
-    pump_flow = flow.sum(axis=1)
+    total = flow.sum(axis=1)
     supply_ls = pressure.max(axis=1) + pump.ls_margin
     supply_cp = np.full_like(time, supply_of(pump, Supply.CONSTANT)[0])
-    power_ls = _finite(hydraulics.pump_power(supply_ls, pump_flow, *shaft_of(pump)))
-    power_cp = _finite(hydraulics.pump_power(supply_cp, pump_flow, *shaft_of(pump)))
+    power_ls = _finite(hydraulics.pump_power(supply_ls, total, *shaft_of(pump)))
+    power_cp = _finite(hydraulics.pump_power(supply_cp, total, *shaft_of(pump)))
 
     course = limit_checks.Course(
         time=looks,
@@ -204,9 +205,10 @@ def _evaluate(task: Task, motion: Motion) -> Evaluation:
         length=rows["length"],
         velocity=rows["velocity"],
         acceleration=rows["acceleration"],
+        flow=pump_flow(crane.drives, rows["velocity"]),
     )
     use = limit_checks.used(machine, course)
-    violations = limit_checks.violations(machine, motion, course, use) + limit_checks.unended(task, c, w)
+    violations = limit_checks.violations(task, motion, course, use) + limit_checks.unended(task, c, w)
     if not (exists or violations):
         violations = ("a linkage does not close, or has no torque arm, somewhere on the way",)
     if motion.status.kind is Kind.UNCONVERGED:  # no result, whatever it keeps
@@ -214,7 +216,7 @@ def _evaluate(task: Task, motion: Motion) -> Evaluation:
     path_error = float(course.error.max())
     arrays = {
         "time": time, **moved, "tool_target": reference.point.take(regular, axis=0), "pressure": pressure, "flow": flow,
-        "pump_flow": pump_flow, "supply_ls": supply_ls, "supply_cp": supply_cp,
+        "pump_flow": total, "supply_ls": supply_ls, "supply_cp": supply_cp,
         "power_ls": power_ls, "power_cp": power_cp,
         "cumulative_ls": _integral(time, power_ls), "cumulative_cp": _integral(time, power_cp),
     }  # fmt: skip
@@ -225,10 +227,10 @@ def _evaluate(task: Task, motion: Motion) -> Evaluation:
         task=task,
         motion=motion,
         **arrays,
-        limit_use=limit_checks.largest(use),
+        limit_use=limit_checks.largest(task, course, use),
         path_error=path_error,
         violations=violations,
-        notes=_notes(task, time, velocity, force, pump_flow, supply_ls, pressure, energies),
+        notes=_notes(task, time, velocity, force, total, supply_ls, pressure, energies),
         followed=exists and path_error <= PATH_TOLERANCE,
     )
 
@@ -310,8 +312,8 @@ def _low_pass(motion: Motion, time: np.ndarray, looks: np.ndarray, cutoff: float
     return tuple(np.interp(looks, time, values) for values in filtered)
 
 
-def _notes(task, time, velocity, force, pump_flow, supply, pressure, energies) -> tuple[str, ...]:
+def _notes(task, time, velocity, force, flow, supply, pressure, energies) -> tuple[str, ...]:
     machine = task.machine
-    found = remarks.shortfalls(machine.pump, "ls", time, pump_flow, supply, pressure)
+    found = remarks.shortfalls(machine.pump, "ls", time, flow, supply, pressure)
     left_out = remarks.uncounted_work(machine, time, velocity, force, *energies)
     return (*(str(each) for each in found), *filter(None, [left_out]))

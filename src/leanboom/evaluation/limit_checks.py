@@ -14,6 +14,7 @@ from leanboom.components.paths import Path, approaches
 from leanboom.formulas import kinematics
 from leanboom.model.machine import Machine
 from leanboom.model.motion import Motion
+from leanboom.model.pump_flow import LITRES_PER_MINUTE
 from leanboom.model.task import Task
 
 TOLERANCE = 1.001  # a limit used above this counts as violated
@@ -35,11 +36,13 @@ class LimitUse:
     position: float
     velocity: float
     acceleration: float
+    flow: float  # of the pump's largest flow, whether or not that is a limit
+    flow_limited: bool = False  # whether it is
 
     @property
     def worst(self) -> float:
-        """The largest of the three."""
-        return max(self.position, self.velocity, self.acceleration)
+        """The largest one of those that are limits."""
+        return max(self.position, self.velocity, self.acceleration, self.flow if self.flow_limited else 0.0)
 
 
 Rows = tuple[np.ndarray, ...]  # one array a joint, in joint order, (times,) each
@@ -56,6 +59,7 @@ class Course:
     length: Rows  # of the cylinders [m]
     velocity: Rows  # [m/s]
     acceleration: Rows  # [m/s^2]
+    flow: np.ndarray  # of the pump [m^3/s], (times,)
 
 
 def times(path: Path, samples: np.ndarray, motion: Motion | None = None) -> np.ndarray:
@@ -93,21 +97,23 @@ def used(machine: Machine, course: Course) -> tuple[Rows, Rows, Rows]:
     return tuple(position), tuple(velocity), tuple(acceleration)
 
 
-def largest(use: tuple[Rows, Rows, Rows]) -> LimitUse:
-    """The largest `LimitUse` of some courses."""
-    return LimitUse(*(float(max(row.max() for row in rows)) for rows in use))
+def largest(task: Task, course: Course, use: tuple[Rows, Rows, Rows]) -> LimitUse:
+    """The largest `LimitUse` of a course of a task, whose uses are known."""
+    flow = float(course.flow.max()) / task.machine.pump.max_flow
+    position, velocity, acceleration = (float(max(row.max() for row in rows)) for rows in use)
+    return LimitUse(position, velocity, acceleration, flow, task.limits.pump_flow)
 
 
-def violations(machine: Machine, motion: Motion, course: Course, use: tuple[Rows, Rows, Rows]) -> tuple[str, ...]:
+def violations(task: Task, motion: Motion, course: Course, use: tuple[Rows, Rows, Rows]) -> tuple[str, ...]:
     """One sentence where the tool leaves its path, and one a violated limit, worst first.
 
     Args:
-        machine: The machine.
+        task: The task; it says whether the pump's flow is a limit.
         motion: The motion of the redundant cylinder.
         course: What becomes of it.
         use: What `used` says of it.
     """
-    time, found = course.time, []
+    machine, time, found = task.machine, course.time, []
     limits = [(joint.lower, joint.upper) for joint in machine.joints]
     speeds = [(-c.velocity_limit, c.velocity_limit) for c in machine.cylinders]
     pushes = [(-c.acceleration_limit, c.acceleration_limit) for c in machine.cylinders]
@@ -128,6 +134,14 @@ def violations(machine: Machine, motion: Motion, course: Course, use: tuple[Rows
                     f"beyond its limit {limit:.4f} by {_number(abs(value - limit))}"
                 )
                 found.append((shares[j][i], sentence))
+    i = int(course.flow.argmax())
+    if course.flow[i] > TOLERANCE * task.flow_limit:
+        needed, given = (LITRES_PER_MINUTE * flow for flow in (course.flow[i], task.flow_limit))
+        sentence = (
+            f"pump flow is {needed:.1f} l/min at {_when(motion, time[i])}, beyond its limit {given:.1f} by "
+            f"{needed - given:.2f}"
+        )
+        found.append((course.flow[i] / task.flow_limit, sentence))
     beyond = tuple(sentence for _, sentence in sorted(found, key=lambda item: -item[0]))
     return (*_off_path(motion, course), *beyond) or tuple(_contradictions(machine, course))
 

@@ -51,14 +51,17 @@ def ends(evaluation: Evaluation) -> dict[str, str]:
 
 
 def nearest(evaluation: Evaluation) -> str:
-    """The limit of velocity or acceleration that is used most, and the cylinders that reach an end, in words.
+    """The limit of velocity, acceleration or flow that is used most, and the cylinders that reach an end, in words.
 
     Args:
         evaluation: The judged motion.
     """
     use, found = evaluation.limit_use, ends(evaluation)
-    kind = "velocity" if use.velocity >= use.acceleration else "acceleration"
-    most = f"{kind} {100.0 * getattr(use, kind):.0f} % used"
+    shares = {"velocity": use.velocity, "acceleration": use.acceleration}
+    if use.flow_limited:
+        shares["pump flow"] = use.flow
+    kind = max(shares, key=lambda name: shares[name])
+    most = f"{kind} {100.0 * shares[kind]:.0f} % used"
     return f"{most}; {at_ends(found)}" if found else most
 
 

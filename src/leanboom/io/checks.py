@@ -18,7 +18,8 @@ from leanboom.components.pumps import EfficiencyMap, Pump
 from leanboom.io.schema import AREAS, SIZE_KEYS, BodyKeys, CylinderKeys
 from leanboom.io.yaml_source import Data, Key, Source
 from leanboom.model.machine import JOINTS, AngleRange, LengthRange, Machine
-from leanboom.model.task import End, Start, faults
+from leanboom.model.pump_flow import base_fault
+from leanboom.model.task import End, Limits, Start, faults
 from leanboom.quantities.declarations import Section, Variant
 from leanboom.quantities.types import Cutoff
 from leanboom.quantities.units import is_bare
@@ -216,7 +217,11 @@ def check_task(source: Source, machine: Machine | None) -> None:
     start, end, smooth = (
         _part(kind, data.get(key)) for kind, key in ((Start, "start"), (End, "end"), (Cutoff, "smooth"))
     )
-    for key, _, what in faults(
-        made, machine, "middle" if start is None else start, "free" if end is None else end, smooth
-    ):
+    found = faults(made, machine, "middle" if start is None else start, "free" if end is None else end, smooth)
+    for key, _, what in found:
         source.refuse(key, what)
+    limits = _part(Annotated[Limits, Section(Limits)], data.get("limits"))
+    if limits is not None and limits.pump_flow and made is not None and not found:
+        what = base_fault(machine, made)
+        if what:
+            source.refuse(("limits", "pump_flow"), what)

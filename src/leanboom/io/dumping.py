@@ -60,6 +60,7 @@ def task_text(task: Task, machine: str) -> str:
         "start": task.start,
         "end": task.end,
         "smooth": task.smooth,
+        "limits": asdict(task.limits),
     }
     return _text(Section(TaskKeys), data, f"task {task.name}", {})
 

@@ -60,7 +60,13 @@ def load_machine(name_or_path: str | Path) -> Machine:
     return _machine(source, path)
 
 
-def load_task(name_or_path: str | Path, *, start: str | float | None = None, end: str | float | None = None) -> Task:
+def load_task(
+    name_or_path: str | Path,
+    *,
+    start: str | float | None = None,
+    end: str | float | None = None,
+    pump_flow_limit: bool | None = None,
+) -> Task:
     """Load a task and its machine.
 
     Args:
@@ -68,6 +74,7 @@ def load_task(name_or_path: str | Path, *, start: str | float | None = None, end
         start: In place of the file's `start`: "smallest", "middle", "best", or a length of the redundant cylinder
             ("0.3 m", or a number in [m]).
         end: In place of the file's `end`: "free", "same", "smallest", "middle", or a length.
+        pump_flow_limit: In place of the file's `limits.pump_flow`: whether the pump's `max_flow` is a limit.
 
     Returns:
         The task, in SI units.
@@ -90,6 +97,7 @@ def load_task(name_or_path: str | Path, *, start: str | float | None = None, end
         start=keys.start if start is None else start,
         end=keys.end if end is None else end,
         smooth=keys.smooth,
+        limits=keys.limits if pump_flow_limit is None else replace(keys.limits, pump_flow=pump_flow_limit),
         source=text,
     )
 

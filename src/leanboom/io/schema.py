@@ -13,7 +13,7 @@ from leanboom.components.circuits import Circuit
 from leanboom.components.cylinders import Cylinder
 from leanboom.components.pumps import Pump
 from leanboom.model.machine import STANDARD_GRAVITY, Body, Joints, Machine
-from leanboom.model.task import Task
+from leanboom.model.task import Limits, Task
 from leanboom.quantities.declarations import Section, declared, derived, file_of
 from leanboom.quantities.ranges import Refused, Rule
 from leanboom.quantities.rules import OneOrTwo
@@ -130,3 +130,4 @@ class TaskKeys:
     start: Any
     end: Any = "free"
     smooth: Any = None
+    limits: Any = Limits()

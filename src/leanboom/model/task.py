@@ -14,12 +14,14 @@ from leanboom.components.paths import PATHS, Braking, Lines, Moved, Part, Path, 
 from leanboom.errors import InputError
 from leanboom.model.machine import Machine
 from leanboom.quantities import ranges
-from leanboom.quantities.declarations import Variant, hold_declared
+from leanboom.quantities.declarations import Section, Variant, hold_declared
 from leanboom.quantities.ranges import Refused, Rule
-from leanboom.quantities.types import Cutoff, LeastMass
+from leanboom.quantities.types import Bool, Cutoff, LeastMass
 from leanboom.quantities.units import KINDS, Kind, slip
 
-__all__ = ["Braking", "Lines", "Moved", "Part", "Path", "Reference", "Spline", "Start", "Task", "sample", "written"]
+__all__ = [
+    "Braking", "Limits", "Lines", "Moved", "Part", "Path", "Reference", "Spline", "Start", "Task", "sample", "written",
+]  # fmt: skip
 
 STARTS = ("smallest", "middle", "best")
 ENDS = ("free", "same", "smallest", "middle")
@@ -77,6 +79,17 @@ End = Annotated[str | float, _End()]
 
 
 @dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits of the pump that a motion must keep, as it keeps those of joints and cylinders."""
+
+    pump_flow: Bool = False
+    """Whether the flow of all cylinders together may at no time be above the pump's `max_flow`."""
+
+    def __post_init__(self) -> None:
+        hold_declared(self, "limits")
+
+
+@dataclass(frozen=True, slots=True)
 class Task:
     """A machine, a payload at its tool, a path in time and where the redundant cylinder starts."""
 
@@ -92,6 +105,8 @@ class Task:
     """Where it ends: free, same (as the start), smallest, middle, or a length."""
     smooth: Cutoff | None = None
     """Low-pass cut-off for the redundant motion before it is judged; none if not given."""
+    limits: Annotated[Limits, Section(Limits)] = Limits()
+    """What else a motion must keep."""
     source: str = field(default="", repr=False, compare=False)  # the file's text
 
     def __post_init__(self) -> None:
@@ -99,6 +114,8 @@ class Task:
             raise InputError(f"machine = {ranges.shown(self.machine)}; must be a machine: leanboom.load_machine(NAME)")
         if not isinstance(self.path, Path):
             raise InputError(f"path = {ranges.shown(self.path)}; must be a path such as leanboom.model.task.Lines")
+        if not isinstance(self.limits, Limits):
+            raise InputError(f"limits = {ranges.shown(self.limits)}; must be limits: leanboom.model.task.Limits()")
         hold_declared(self, "")
         if found := faults(self.path, self.machine, self.start, self.end, self.smooth):
             raise InputError(
@@ -109,6 +126,11 @@ class Task:
     def duration(self) -> float:
         """Time the path takes [s]."""
         return self.path.duration
+
+    @property
+    def flow_limit(self) -> float:
+        """Largest pump flow that a motion may ask for [m^3/s]; infinite where flow is no limit."""
+        return self.machine.pump.max_flow if self.limits.pump_flow else np.inf
 
     @property
     def whole(self) -> bool:
@@ -123,7 +145,7 @@ class Task:
         points = f" through {len(path.points)} points" if isinstance(path, Lines | Spline) else ""
         return (
             f"Task({self.name}: {self.machine.name}, {type(path).__name__.lower()}{points} in {path.duration:g} s, "
-            f"payload {self.payload:g} kg, start {start}{end}"
+            f"payload {self.payload:g} kg, start {start}{end}{', pump flow limited' if self.limits.pump_flow else ''}"
             + (f", smooth {self.smooth:g} Hz)" if self.smooth else ")")
         )
 

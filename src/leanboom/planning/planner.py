@@ -26,7 +26,7 @@ from leanboom.methods.registry import EFFORTS, GRID, METHODS, STEP, Method, Sett
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import Kind, Outcome
 from leanboom.model.task import Task
-from leanboom.problem import stages, starts
+from leanboom.problem import least_flow, stages, starts
 from leanboom.progress import Progress, quiet
 from leanboom.quantities.ranges import STAGE, noted, one_of
 
@@ -254,6 +254,7 @@ def _check(
     nodes, length = value_function.sizes(grid, step, STAGE, problems)
     check_measurable(task, MOTIONS_AT_A_TIME)
     value_function.check_memory(stages.count(task.duration, length), *nodes)
+    least_flow.check(task, length)
     assert chosen is not None  # or it would be among the problems
     return chosen, nodes, length
 

@@ -59,6 +59,7 @@ def summary(plan: Plan, out: Path | None = None) -> dict[str, Any]:
             "position": _finite(use.position),
             "velocity": _finite(use.velocity),
             "acceleration": _finite(use.acceleration),
+            "flow": _finite(use.flow),
         },
         "path_error_m": _finite(judged.path_error),
         "solve_s": _finite(plan.motion.solve_s),

@@ -91,15 +91,28 @@ class Word(Rule):
 
 
 class Switch(Rule):
-    """True or false."""
+    """True or false; in files also the words yes and no."""
 
     _allowed = "must be true or false"
+    _words = {"yes": True, "no": False}  # YAML 1.2 takes them for texts
 
     def check(self, value: Any) -> bool:
         """The truth value."""
+        value = self._words.get(value, value) if isinstance(value, str) else value
         if not isinstance(value, bool):
             raise Refused(self.allowed)
         return value
+
+    def kept(self, key: str, value: Any) -> bool:
+        """The truth value."""
+        try:
+            return self.check(value)
+        except Refused as error:
+            raise InputError(f"{key} = {shown(value)}; {error}") from None
+
+    def described(self, schema: dict[str, Any]) -> dict[str, Any]:
+        """A truth value or its word."""
+        return {"enum": [True, False, *self._words]}
 
 
 class OneOrTwo(Rule):

@@ -24,7 +24,7 @@ from leanboom.model.outcome import Kind, Outcome
 from leanboom.model.task import Start, Task
 from leanboom.planning import planner, summaries
 from leanboom.planning.planner import Plan
-from leanboom.problem import stages, starts
+from leanboom.problem import least_flow, stages, starts
 from leanboom.progress import Progress, quiet
 from leanboom.quantities.ranges import noted
 from leanboom.study import processes
@@ -217,6 +217,7 @@ def compare(
         raise InputError("start = nothing; must be smallest, middle, best, or lengths [m]")
     wanted = entries(methods, pumps)
     check_measurable(task, planner.MOTIONS_AT_A_TIME)
+    least_flow.check(task, STEP)
     tasks = {each: replace(task, start=each) for each in starts}
     first = {each: _start_position(tasks[each]) for each in starts}
     tell = progress or quiet
@@ -331,7 +332,7 @@ def _failed(task: Task, entry: Entry, pump: str, start: float | None, reason: st
         "start_m": start,
         "status": Outcome(Kind.FAILED, reason),
         "duration_s": float(task.duration),
-        "limit_use": {"position": None, "velocity": None, "acceleration": None},
+        "limit_use": dict.fromkeys(("position", "velocity", "acceleration", "flow")),
     }
     keys = (*summaries.KEYS, *SIMULATED) if simulate else summaries.KEYS
     return Row(entry, pump, task.start, {key: known.get(key) for key in keys}, None)

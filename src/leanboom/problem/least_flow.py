@@ -1,0 +1,54 @@
+"""Least flow that a path asks of the pump, over all extensions and all velocities of the redundant cylinder.
+
+At a position all cylinders' velocities are affine in that of the redundant one, so their flow is convex and piecewise
+linear in it: least where one of them stands still.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from leanboom.errors import InputError
+from leanboom.formulas import hydraulics
+from leanboom.model.pump_flow import base_fault, base_flow, fault
+from leanboom.model.task import Task
+from leanboom.problem import layout, stages
+from leanboom.problem.stage_arrays import coefficients
+from leanboom.problem.stages import Problem
+
+POSITIONS = 65  # looked at in the feasible extensions of a stage
+COARSE = 1.01  # times the pump's flow that these may ask for: between them it may be less
+
+
+def least_flow(problem: Problem) -> np.ndarray:
+    """Least flow at every stage among some extensions [m^3/s], (stages + 1,)."""
+    positions = problem.lower[:, None] + (problem.upper - problem.lower)[:, None] * np.linspace(0.0, 1.0, POSITIONS)
+    found = coefficients(problem, positions)
+    a0, a1 = found[..., layout.A0], found[..., layout.A1]
+    limit = problem.crane.machine.redundant.velocity_limit
+    with np.errstate(all="ignore"):  # a cylinder that the redundant one does not move stands still nowhere
+        still = np.clip(np.nan_to_num(-a0 / a1), -limit, limit)
+    flow = np.zeros_like(still)
+    for m, drive in enumerate(problem.crane.drives[problem.moving]):
+        velocity = a0[..., m, None] + a1[..., m, None] * still
+        flow += hydraulics.cylinder_flow(velocity, drive.area_out, drive.area_in)
+    return flow.min(axis=(1, 2)) + base_flow(problem.crane.machine, problem.plane)
+
+
+def check(task: Task, step: float) -> None:
+    """Raise InputError where a task limits the pump's flow to less than its path asks for, whatever the extension does.
+
+    Args:
+        task: The task.
+        step: Length of a stage [s].
+    """
+    if not task.limits.pump_flow:
+        return
+    what = base_fault(task.machine, task.path)
+    if not what:
+        problem = stages.discretise(task, step)
+        flow = least_flow(problem)
+        if flow.max() > COARSE * task.flow_limit:
+            what = fault(task, "the path, at the best extension,", problem.time, flow)
+    if what:
+        raise InputError(f"limits.pump_flow = yes; {what}")
