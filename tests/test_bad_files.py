@@ -53,7 +53,7 @@ BAD_TASKS = {
     ),
     "unknown path": (
         [("type: spline", "type: splin")],
-        ["6: path.type = splin; must be lines, spline; did you mean spline?"],
+        ["6: path.type = splin; must be lines, spline, retimed; did you mean spline?"],
     ),
     "point in a plane": (
         [("[4.30, 0, 2.50]", "[4.30, 2.50]")],

@@ -9,7 +9,7 @@ import pytest
 
 from leanboom.components.friction import Friction
 from leanboom.components.linkages import Polynomial, RackAndPinion, Telescope
-from leanboom.components.paths import Braking, Lines, Moved, Part, Spline
+from leanboom.components.paths import Braking, Lines, Moved, Part, Retimed, Spline
 from leanboom.dynamic_programming import value_function
 from leanboom.errors import InputError
 from leanboom.io.loading import dump_machine, dump_task, load_task
@@ -53,6 +53,20 @@ BAD = {
     "a part that ends before it begins": (lambda: Part(PATH, 3.0, 2.0), "path.since, path.until = 3 s, 2 s"),
     "moved within no time": (lambda: Moved(PATH, (1.0, 0.0, 0.0), 1.0, 0.0), "path.over = 0 s; must be at least"),
     "moved by nan": (lambda: Moved(PATH, (NAN, 0.0, 0.0), 1.0, 1.0), "path.offset[0] = nan; must be a finite length"),
+    "retimed what is no path of its own": (lambda: Retimed("path", (1.0, 1.0)), "path.path = path; must be lines or a"),
+    "retimed by one rate": (lambda: Retimed(PATH, (1.0,)), "path.rates = (1.0,); must be a list of at least two rates"),
+    "retimed backwards": (lambda: Retimed(PATH, (1.0, -0.5, 1.0)), "path.rates[1] = -0.5; must be at least 0"),
+    "retimed to stand still": (lambda: Retimed(PATH, (0.0, 0.0)), "path.rates = [0, 0]; one of the rates must"),
+    "retimed to a jump": (lambda: Retimed(PATH, (1e9, 1e9)), "path.rates make the path last"),
+    "an unknown timing": (lambda: replace(TASK, timing="fast"), "timing = fast; must be one of fixed, free, shortest"),
+    "a free timing of a part": (
+        lambda: replace(TASK, path=Part(PATH, 1.0, 3.0), timing="free"),
+        "timing = free; must be fixed unless the path is lines or a spline",
+    ),
+    "a free timing, filtered": (
+        lambda: replace(TASK, smooth=5.0, timing="free"),
+        "smooth = 5; must be left out with timing: free",
+    ),
     "braking within no time": (lambda: Braking(PATH, 1.0, -2.0), "path.over = -2 s; must be at least 0.0001 s"),
     "braking on no path": (lambda: Braking("path", 1.0, 2.0), "path.path = path; must be a path"),
     "a task without a path": (lambda: replace(TASK, path=None), "path = None; must be a path such as"),

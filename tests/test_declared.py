@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from leanboom.cli.app import app
 from leanboom.components.circuits import Circuit
 from leanboom.components.linkages import LINKAGES, Linkage
-from leanboom.components.paths import PATHS, Lines, Spline
+from leanboom.components.paths import PATHS, Lines, Retimed, Spline
 from leanboom.components.valves import METERING, VALVES, Edges, IndependentMetering, Valve, drive_of
 from leanboom.errors import InputError
 from leanboom.evaluation.evaluate import evaluate
@@ -308,10 +308,10 @@ def test_the_simulation_of_the_files_page_has_the_defaults_of_each_valve():
 
 
 def test_the_task_of_the_files_page_has_the_declared_keys():
-    paths = {key: field for each in Variant(PATHS).sections for key, field in keys(each, "path.").items()}
+    paths = [f"path.{name}" for each in Variant(PATHS).sections for name in each.fields]
     task = keys(Section(TaskKeys))
     limits = keys(task.pop("limits").rule, "limits.")
-    expected = [*list(task)[:3], "path.type", *paths, *list(task)[4:], *limits]
+    expected = [*list(task)[:3], "path.type", *dict.fromkeys(paths), *list(task)[4:], *limits]
     rows = TABLES["Task file"][1:]
     assert [row[0].strip("`") for row in rows] == expected
     for name in ("payload", "smooth"):
@@ -329,7 +329,7 @@ def test_keys_of_files_are_fields_of_machine_and_task():
             given, own = declared(keys_made)[name].rule, declared(part)[prefix + name].rule
             assert (type(given), given.allowed) == (type(own), own.allowed)
             assert meanings(keys_made)[name] == meanings(part)[prefix + name]
-    assert tuple(PATHS.values()) == (Lines, Spline) and MACHINE["joints"].rule.made is Joints
+    assert tuple(PATHS.values()) == (Lines, Spline, Retimed) and MACHINE["joints"].rule.made is Joints
 
 
 def test_a_path_in_python_may_last_longer_than_in_a_file():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from leanboom import resources
-from leanboom.components.paths import Braking, Lines, Moved, Part, Spline, approaches
+from leanboom.components.paths import Braking, Lines, Moved, Part, Retimed, Spline, approaches
 from leanboom.dynamic_programming import grids, value_function
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.evaluation import limit_checks
@@ -131,6 +131,7 @@ def test_the_nearest_points_of_paths_are_found(seed):
     points = tuple(tuple(point) for point in rng.uniform(-0.07, 0.07, (5, 3)))
     base = Lines(points, (1.0, 0.4, 2.0, 0.6)) if seed % 2 else Spline(points, (0.0, 1.0, 1.4, 3.4, 4.0))
     made = (base, Part(base, 0.5, 3.7), Moved(base, (0.02, -0.03, 0.0), 0.7, 1.1), Braking(base, 0.3, 2.5))
+    made = (*made, Retimed(base, tuple(rng.uniform(0.0, 2.0, 9))))
     for path in (*made, Braking(Part(made[2], 0.2, 3.9), 0.1, 3.0)):
         dense = path.values(np.linspace(0.0, path.duration, 200001))[0]
         times, distances = approaches(path)

@@ -12,7 +12,7 @@ from leanboom.cli.console import add_row, length, new_table, say, show
 from leanboom.components import pump_power
 from leanboom.components.pumps import EfficiencyMap
 from leanboom.io.yaml_source import shortened
-from leanboom.model.task import Spline, Task, written
+from leanboom.model.task import Lines, Retimed, Spline, Task, written
 from leanboom.report import facts
 
 if TYPE_CHECKING:
@@ -86,7 +86,10 @@ def task_facts(task: Task) -> dict[str, Any]:
         task: The task.
     """
     path = written(task)
-    if isinstance(path, Spline):
+    if isinstance(path, Retimed):
+        timing = {"path": "retimed", "times_s": _passed(path)}
+        path = path.path
+    elif isinstance(path, Spline):
         timing = {"path": "spline", "times_s": list(path.times)}
     else:
         timing = {"path": "lines", "durations_s": list(path.durations)}
@@ -165,6 +168,13 @@ def machine_detail(console: Console, machine: Machine) -> None:
     say(console, f"{facts.assumed(machine)} (leanboom check lists them).")
 
 
+def _passed(path: Lines | Spline | Retimed) -> list[float]:
+    """Times at which a path passes its points [s]."""
+    if isinstance(path, Retimed):
+        return [float(time) for time in path.when(path.path.breaks)]
+    return list(path.times) if isinstance(path, Spline) else [sum(path.durations[:i]) for i in range(len(path.points))]
+
+
 def task_list(console: Console, tasks: Sequence[Task]) -> None:
     """Print the tasks, a line each.
 
@@ -174,8 +184,9 @@ def task_list(console: Console, tasks: Sequence[Task]) -> None:
     """
     table = new_table("Task", "Machine", "Path", "Start", "payload\nkg", "time\ns", numbers=2)
     for task in tasks:
-        kind = "spline" if isinstance(task.path, Spline) else "lines"
-        path = f"{kind}, {len(written(task).points)} points"
+        shape = written(task)
+        shape = shape.path if isinstance(shape, Retimed) else shape
+        path = f"{'spline' if isinstance(shape, Spline) else 'lines'}, {len(shape.points)} points"
         add_row(
             table, task.name, task.machine.name, path, _place(task.start), f"{task.payload:g}", f"{task.duration:g}"
         )
@@ -192,20 +203,20 @@ def task_detail(console: Console, task: Task) -> None:
     """
     path = written(task)
     _heading(console, task.name, "")
-    kind = "clamped cubic spline" if isinstance(path, Spline) else "straight lines, at rest at every point"
+    times = _passed(path)
+    shape, own = (path.path, ", retimed") if isinstance(path, Retimed) else (path, "")
+    kind = "clamped cubic spline" if isinstance(shape, Spline) else "straight lines, at rest at every point"
     say(console, f"Machine   {task.machine.name}")
     say(console, f"Payload   {task.payload:g} kg")
     say(console, f"Start     {_place(task.start)}")
     if task.end != "free":
         say(console, f"End       {_place(task.end)}")
-    say(console, f"Path      {kind}, {task.duration:g} s")
+    if task.timing != "fixed":
+        say(console, f"Timing    {task.timing}")
+    say(console, f"Path      {kind}{own}, {task.duration:g} s")
     console.print()
-    if isinstance(path, Spline):
-        times = path.times
-    else:
-        times = tuple(sum(path.durations[:i]) for i in range(len(path.points)))
     table = new_table("time\ns", "x\nm", "y\nm", "z\nm", numbers=4)
-    for time, point in zip(times, path.points, strict=True):
+    for time, point in zip(times, shape.points, strict=True):
         add_row(table, f"{time:g}", *(f"{value:g}" for value in point))
     show(console, table)
 

@@ -16,10 +16,10 @@ from numpy.polynomial import chebyshev
 
 from leanboom.errors import InputError
 from leanboom.quantities import ranges
-from leanboom.quantities.declarations import hold_declared
+from leanboom.quantities.declarations import Variant, hold_declared
 from leanboom.quantities.ranges import Refused
 from leanboom.quantities.rules import Listing, counted
-from leanboom.quantities.types import Coordinate, Duration, Time
+from leanboom.quantities.types import Coefficient, Coordinate, Duration, Time
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -36,11 +36,19 @@ def rising_from_zero(times: tuple[float, ...]) -> tuple[float, ...]:
     return times
 
 
+def moving(rates: tuple[float, ...]) -> tuple[float, ...]:
+    """The rates, if one of them is above 0: else the path would never be followed."""
+    if not any(rates):
+        raise Refused("one of the rates must be above 0")
+    return rates
+
+
 _POINT = Listing("three lengths x, y, z", ranges.COORDINATE, 3, 3, bare=True)
 Point = Annotated[tuple[Coordinate, Coordinate, Coordinate], _POINT]
 Points = Annotated[tuple[Point, ...], Listing("at least two points [x, y, z]", _POINT, 2, bare=True)]
 Durations = Annotated[tuple[Duration, ...], Listing("at least one time", ranges.DURATION, 1)]
 Times = Annotated[tuple[Time, ...], Listing("at least two times", ranges.TIME, 2, order=rising_from_zero)]
+Rates = Annotated[tuple[Coefficient, ...], Listing("at least two rates", ranges.COEFFICIENT, 2, order=moving)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +132,105 @@ class Spline:
         """Tool position [m], velocity [m/s] and acceleration [m/s^2] at times within [0, duration]."""
         spline = _cubic(self.points, self.times)
         return spline(time), spline(time, 1), spline(time, 2)
+
+
+OWN: dict[str, type] = {"lines": Lines, "spline": Spline}  # paths with a timing of their own
+
+
+@dataclass(frozen=True, slots=True)
+class Retimed:
+    """A path followed at another speed: its own timing runs faster and slower, and the tool passes the same points."""
+
+    # A cubic from rest to rest leaves a corner at once; a quintic's acceleration is zero there, and a law that
+    # accelerates from the corner on would have to run it infinitely fast.
+    path: Annotated[Lines | Spline, Variant(OWN)]
+    """Where the tool goes; segments of `lines` count as cubics from rest to rest in their durations."""
+    rates: Rates
+    """How many times as fast as by its own timing, at equally spaced times from start to end, linear between them."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.path, Lines | Spline):
+            raise InputError(f"path.path = {ranges.shown(self.path)}; must be lines or a spline")
+        hold_declared(self, "path")
+        if not self.duration >= ranges.MOMENT:
+            raise InputError(f"path.rates make the path last {self.duration:.3g} s; must be at least 0.0001 s")
+
+    @property
+    def duration(self) -> float:
+        """Total time [s]."""
+        return float(self.path.duration / np.mean(_between(self.rates)))
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """Times of the rates [s]."""
+        return np.linspace(0.0, self.duration, len(self.rates))
+
+    @property
+    def breaks(self) -> np.ndarray:
+        """Times where pieces meet, both ends included [s]."""
+        nodes = self.nodes
+        times = self.when(self.path.breaks[1:-1])
+        apart = np.abs(times[:, None] - nodes).min(axis=1, initial=np.inf) > 1e-9 * self.duration
+        return _within(np.append(nodes, times[apart]), self.duration)
+
+    def when(self, own: np.ndarray) -> np.ndarray:
+        """Times at which times of the path's own timing are passed [s]."""
+        nodes, passed, rates = self.nodes, self._passed, np.asarray(self.rates)
+        k = np.clip(np.searchsorted(passed, own, side="right") - 1, 0, len(nodes) - 2)
+        left, slope = own - passed[k], (rates[k + 1] - rates[k]) / nodes[1]
+        root = np.sqrt(np.maximum(rates[k] ** 2 + 2.0 * slope * left, 0.0))
+        return nodes[k] + 2.0 * left / np.maximum(rates[k] + root, 1e-300)
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomials in time."""
+        return 6
+
+    @property
+    def _passed(self) -> np.ndarray:
+        """Times of the path's own timing that are passed at the nodes [s]."""
+        passed = np.concatenate([[0.0], np.cumsum(_between(self.rates))])
+        return passed * (self.path.duration / passed[-1])
+
+    def slower(self, factor: float) -> Retimed:
+        """The same path taking `factor` times as long."""
+        return Retimed(self.path.slower(factor), self.rates)
+
+    def own(self, time: np.ndarray) -> Values:
+        """Time of the path's own timing [s] at times within [0, duration], its rate, and the rate of that [1/s]."""
+        rates, step = np.asarray(self.rates), self.duration / (len(self.rates) - 1)
+        k = np.clip((time / step + 1e-9).astype(int), 0, rates.size - 2)
+        since, slope = time - k * step, (rates[k + 1] - rates[k]) / step
+        passed = self._passed[k] + since * (rates[k] + 0.5 * slope * since)
+        return np.clip(passed, 0.0, self.path.duration), rates[k] + slope * since, slope
+
+    def values(self, time: np.ndarray) -> Values:
+        """Tool position [m], velocity [m/s] and acceleration [m/s^2] at times within [0, duration]."""
+        passed, rate, slope = self.own(time)
+        position, first, second = geometry(self.path, passed)
+        rate, slope = rate[:, None], slope[:, None]
+        return position, first * rate, second * rate**2 + first * slope
+
+
+def geometry(path: Lines | Spline, passed: np.ndarray) -> Values:
+    """Tool position [m] and its two derivatives over a path's own time [s], as `Retimed` follows the path."""
+    if isinstance(path, Spline):
+        return path.values(passed)
+    points = np.asarray(path.points, dtype=np.float64)
+    ends = np.cumsum(path.durations)
+    segment = np.minimum(np.searchsorted(ends, passed, side="right"), len(ends) - 1)
+    length = np.asarray(path.durations)[segment]
+    s = np.clip((passed - (ends[segment] - length)) / length, 0.0, 1.0)
+    step = points[segment + 1] - points[segment]
+    shares = s * s * (3.0 - 2.0 * s), 6.0 * s * (1.0 - s) / length, (6.0 - 12.0 * s) / length**2
+    position, first, second = (share[:, None] * step for share in shares)
+    return position + points[segment], first, second
+
+
+def _between(rates: tuple[float, ...]) -> np.ndarray:
+    """The mean of every two rates that follow each other."""
+    values = np.asarray(rates)
+    return 0.5 * (values[1:] + values[:-1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,8 +358,8 @@ class Braking:
         return position, rate * velocity, rate**2 * acceleration - velocity / self.over
 
 
-Path = Lines | Spline | Part | Moved | Braking
-PATHS: dict[str, type] = {"lines": Lines, "spline": Spline}  # those that files hold
+Path = Lines | Spline | Retimed | Part | Moved | Braking
+PATHS: dict[str, type] = {**OWN, "retimed": Retimed}  # those that files hold
 
 
 @lru_cache(maxsize=64)

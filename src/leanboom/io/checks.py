@@ -19,7 +19,7 @@ from leanboom.io.schema import AREAS, SIZE_KEYS, BodyKeys, CylinderKeys
 from leanboom.io.yaml_source import Data, Key, Source
 from leanboom.model.machine import JOINTS, AngleRange, LengthRange, Machine
 from leanboom.model.pump_flow import base_fault
-from leanboom.model.task import End, Limits, Start, faults
+from leanboom.model.task import TIMINGS, End, Lasting, Limits, Start, faults
 from leanboom.quantities.declarations import Section, Variant
 from leanboom.quantities.types import Cutoff
 from leanboom.quantities.units import is_bare
@@ -217,11 +217,20 @@ def check_task(source: Source, machine: Machine | None) -> None:
     start, end, smooth = (
         _part(kind, data.get(key)) for kind, key in ((Start, "start"), (End, "end"), (Cutoff, "smooth"))
     )
-    found = faults(made, machine, "middle" if start is None else start, "free" if end is None else end, smooth)
+    timing, duration = data.get("timing", "fixed"), data.get("duration")
+    if duration is not None and timing == "shortest":
+        source.refuse(("duration",), "must be left out with timing: shortest, which plans it")
+    elif duration == "shortest" and timing == "free":
+        source.refuse(("timing",), "must be left out with duration: shortest, which plans the speed as well")
+    elif duration == "shortest":
+        timing = duration
+    timing = timing if timing in TIMINGS else "fixed"
+    found = faults(made, machine, "middle" if start is None else start, "free" if end is None else end, smooth, timing)
     for key, _, what in found:
         source.refuse(key, what)
     limits = _part(Annotated[Limits, Section(Limits)], data.get("limits"))
-    if limits is not None and limits.pump_flow and made is not None and not found:
-        what = base_fault(machine, made)
+    if limits is not None and limits.pump_flow and made is not None and not found and timing == "fixed":
+        lasting = _part(Lasting, duration)
+        what = base_fault(machine, made if lasting is None else made.slower(lasting / made.duration))
         if what:
             source.refuse(("limits", "pump_flow"), what)

@@ -61,6 +61,7 @@ def task_text(task: Task, machine: str) -> str:
         "end": task.end,
         "smooth": task.smooth,
         "limits": asdict(task.limits),
+        "timing": task.timing,
     }
     return _text(Section(TaskKeys), data, f"task {task.name}", {})
 

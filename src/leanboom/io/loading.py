@@ -89,15 +89,17 @@ def load_task(
     name, keys, machine, text = load_keys(
         "task", name_or_path, TaskKeys, lambda source, keys, machine: check_task(source, machine)
     )
+    scaled = None if keys.duration == "shortest" else keys.duration
     return Task(
         name=name,
         machine=machine,
-        path=keys.path,
+        path=keys.path if scaled is None else keys.path.slower(scaled / keys.path.duration),
         payload=keys.payload,
         start=keys.start if start is None else start,
         end=keys.end if end is None else end,
         smooth=keys.smooth,
         limits=keys.limits if pump_flow_limit is None else replace(keys.limits, pump_flow=pump_flow_limit),
+        timing="shortest" if keys.duration == "shortest" else keys.timing,
         source=text,
     )
 

@@ -13,7 +13,7 @@ from leanboom.components.circuits import Circuit
 from leanboom.components.cylinders import Cylinder
 from leanboom.components.pumps import Pump
 from leanboom.model.machine import STANDARD_GRAVITY, Body, Joints, Machine
-from leanboom.model.task import Limits, Task
+from leanboom.model.task import Lasting, Limits, Task
 from leanboom.quantities.declarations import Section, declared, derived, file_of
 from leanboom.quantities.ranges import Refused, Rule
 from leanboom.quantities.rules import OneOrTwo
@@ -131,3 +131,6 @@ class TaskKeys:
     end: Any = "free"
     smooth: Any = None
     limits: Any = Limits()
+    timing: Any = "fixed"
+    duration: Lasting | None = None
+    """Of the whole path, whose timing is scaled to it; or shortest, which is `timing: shortest`."""

@@ -10,72 +10,61 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from leanboom.components.paths import PATHS, Braking, Lines, Moved, Part, Path, Spline
+from leanboom.components.paths import PATHS, Braking, Lines, Moved, Part, Path, Retimed, Spline
 from leanboom.errors import InputError
 from leanboom.model.machine import Machine
 from leanboom.quantities import ranges
 from leanboom.quantities.declarations import Section, Variant, hold_declared
 from leanboom.quantities.ranges import Refused, Rule
+from leanboom.quantities.rules import Word
 from leanboom.quantities.types import Bool, Cutoff, LeastMass
-from leanboom.quantities.units import KINDS, Kind, slip
+from leanboom.quantities.units import Kind, slip
 
 __all__ = [
-    "Braking", "Limits", "Lines", "Moved", "Part", "Path", "Reference", "Spline", "Start", "Task", "sample", "written",
+    "Braking", "Limits", "Lines", "Moved", "Part", "Path", "Reference", "Retimed", "Spline", "Start", "Task", "sample",
+    "written",
 ]  # fmt: skip
 
 STARTS = ("smallest", "middle", "best")
 ENDS = ("free", "same", "smallest", "middle")
+TIMINGS = ("fixed", "free", "shortest")
 FILTERED = 0.02  # [s], the shortest path with enough samples for a low pass
 
 Key = tuple[str | int, ...]  # where a value is in a task file
 
 
-class _Place(Rule):
-    """A word, or a length."""
+class _WordOr(Rule):
+    """A word out of a few, or a quantity."""
 
-    _words: tuple[str, ...] = ()
-
-    @property
-    def allowed(self) -> str:
-        """What a value must be."""
-        return f"must be {', '.join(self._words)}, or a length of the redundant cylinder such as 0.3 m"
+    def __init__(self, words: tuple[str, ...], quantity: ranges.Range, what: str):
+        self.words, self.quantity, self._allowed = words, quantity, f"must be {', '.join(words)}, or {what}"
 
     @property
     def kind(self) -> Kind:
         """The kind of quantity, if it is no word."""
-        return KINDS["length"]
+        return self.quantity.kind
 
     def check(self, value: Any) -> str | float:
-        """The word, or a length [m]."""
-        if isinstance(value, str) and value in self._words:
+        """The word, or the quantity in SI units."""
+        if isinstance(value, str) and value in self.words:
             return value
         try:
-            return ranges.LEAST_LENGTH.number(value)
+            return self.quantity.number(value)
         except Refused:
             raise Refused(self.allowed + (slip(value, self.kind) if isinstance(value, str) else "")) from None
 
     def kept(self, key: str, value: Any) -> str | float:
-        """The word, or a length [m]."""
+        """The word, or the quantity in SI units."""
         try:
             return self.check(value)
         except Refused as error:
             raise InputError(f"{key} = {ranges.shown(value)}; {error}") from None
 
 
-class _Start(_Place):
-    """A word of `STARTS`, or a length."""
-
-    _words = STARTS
-
-
-class _End(_Place):
-    """A word of `ENDS`, or a length."""
-
-    _words = ENDS
-
-
-Start = Annotated[str | float, _Start()]
-End = Annotated[str | float, _End()]
+_LENGTH = "a length of the redundant cylinder such as 0.3 m"
+Start = Annotated[str | float, _WordOr(STARTS, ranges.LEAST_LENGTH, _LENGTH)]
+End = Annotated[str | float, _WordOr(ENDS, ranges.LEAST_LENGTH, _LENGTH)]
+Lasting = Annotated[str | float, _WordOr(("shortest",), ranges.DURATION, "a time from 0.0001 s to 3600 s such as 8 s")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +96,8 @@ class Task:
     """Low-pass cut-off for the redundant motion before it is judged; none if not given."""
     limits: Annotated[Limits, Section(Limits)] = Limits()
     """What else a motion must keep."""
+    timing: Annotated[str, Word(*TIMINGS)] = "fixed"
+    """Whether the path keeps its timing: fixed; free, its speed is planned for the same duration; or shortest."""
     source: str = field(default="", repr=False, compare=False)  # the file's text
 
     def __post_init__(self) -> None:
@@ -117,7 +108,8 @@ class Task:
         if not isinstance(self.limits, Limits):
             raise InputError(f"limits = {ranges.shown(self.limits)}; must be limits: leanboom.model.task.Limits()")
         hold_declared(self, "")
-        if found := faults(self.path, self.machine, self.start, self.end, self.smooth):
+        ranges.one_of("timing", self.timing, TIMINGS)
+        if found := faults(self.path, self.machine, self.start, self.end, self.smooth, self.timing):
             raise InputError(
                 "\n".join(f"{'.'.join(map(str, key))} = {ranges.shown(v)}; {what}" for key, v, what in found)
             )
@@ -142,10 +134,12 @@ class Task:
         end = self.end if isinstance(self.end, str) else f"{self.end:g} m"
         end = "" if end == "free" else f", end {end}"
         path = self.path
-        points = f" through {len(path.points)} points" if isinstance(path, Lines | Spline) else ""
+        shape = path.path if isinstance(path, Retimed) else path
+        points = f" through {len(shape.points)} points" if isinstance(shape, Lines | Spline) else ""
         return (
             f"Task({self.name}: {self.machine.name}, {type(path).__name__.lower()}{points} in {path.duration:g} s, "
             f"payload {self.payload:g} kg, start {start}{end}{', pump flow limited' if self.limits.pump_flow else ''}"
+            + ("" if self.timing == "fixed" else f", timing {self.timing}")
             + (f", smooth {self.smooth:g} Hz)" if self.smooth else ")")
         )
 
@@ -158,7 +152,7 @@ def _cut_short(path: Path) -> bool:
 
 
 def faults(
-    path: Path | None, machine: Machine, start: Start, end: End, smooth: float | None
+    path: Path | None, machine: Machine, start: Start, end: End, smooth: float | None, timing: str = "fixed"
 ) -> list[tuple[Key, object, str]]:
     """Contradictions in a task: keys of a file, their values, and what these must be.
 
@@ -168,17 +162,25 @@ def faults(
         start: The start.
         end: The end.
         smooth: Cut-off of the low pass [Hz]; None: none.
+        timing: A word of `TIMINGS`.
     """
     found: list[tuple[Key, object, str]] = []
-    if isinstance(path, Lines | Spline) and not machine.geometry.slewing:
+    shape, where = (path.path, ("path", "path")) if isinstance(path, Retimed) else (path, ("path",))
+    if isinstance(shape, Lines | Spline) and not machine.geometry.slewing:
         flat = f"y must be 0, since machine {machine.name} does not slew"
-        found += [(("path", "points", i), point, flat) for i, point in enumerate(path.points) if abs(point[1]) > 1e-9]
+        found += [((*where, "points", i), point, flat) for i, point in enumerate(shape.points) if abs(point[1]) > 1e-9]
     longest = machine.redundant.stroke
     for key, place in (("start", start), ("end", end)):
         if isinstance(place, float) and place > longest:
             found.append(((key,), place, f"must be from 0 to {longest:.6g} m, the stroke of the extension cylinder"))
     if path is not None and smooth is not None and path.duration < FILTERED:
         found.append((("smooth",), smooth, f"needs a path of at least {FILTERED:g} s"))
+    if timing != "fixed" and smooth is not None:
+        found.append(
+            (("smooth",), smooth, f"must be left out with timing: {timing}, whose motions are planned as they are")
+        )
+    if timing != "fixed" and path is not None and not isinstance(path, Lines | Spline):
+        found.append((("timing",), timing, "must be fixed unless the path is lines or a spline"))
     return found
 
 
@@ -195,16 +197,18 @@ class Reference:
     acceleration: np.ndarray  # [m/s^2], (samples, 3)
 
 
-def written(task: Task) -> Lines | Spline:
+def written(task: Task) -> Lines | Spline | Retimed:
     """The path of a task as a file can hold it.
 
     Raises:
         InputError: If the path is made in Python out of others: a part of one, one that moves, one that is left.
     """
-    if isinstance(task.path, Lines | Spline):
+    if isinstance(task.path, Lines | Spline | Retimed):
         return task.path
     kind = type(task.path).__name__.lower()
-    raise InputError(f"the path of task {task.name} is a {kind} path; files and tables hold lines and splines alone")
+    raise InputError(
+        f"the path of task {task.name} is a {kind} path; files and tables hold lines and splines, retimed ones too"
+    )
 
 
 def sample(task: Task, time: np.ndarray) -> Reference:

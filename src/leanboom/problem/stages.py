@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from leanboom.errors import InputError
 from leanboom.model import crane as cranes
 from leanboom.model import motion
 from leanboom.model.motion import Motion
@@ -57,7 +58,13 @@ def discretise(task: Task, step: float) -> Problem:
 
     Raises:
         InfeasibleError: If the tool cannot be at its point at some stage, whatever the extension.
+        InputError: If the timing of the task is still to be planned.
     """
+    if task.timing != "fixed":
+        raise InputError(
+            f"timing = {task.timing}; the speed along the path must be planned first: use the task of the plan, "
+            "plan = leanboom.run(task), plan.task"
+        )
     time = np.linspace(0.0, task.duration, count(task.duration, step) + 1)
     crane = cranes.build(task)
     plane = cranes.plane(task.machine, sample(task, time))

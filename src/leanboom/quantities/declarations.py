@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import MISSING, asdict, dataclass, field, fields, make_dataclass
+from dataclasses import MISSING, dataclass, field, fields, make_dataclass
 from functools import cache
 from inspect import cleandoc, getdoc, getsource
 from itertools import pairwise
@@ -168,7 +168,10 @@ class Section(Rule):
 
     def data(self, made: Any) -> dict[str, Any]:
         """A file's data for an instance, in SI units."""
-        return ({"type": self.tag} if self.tag else {}) | asdict(made)
+        parts = {name: (field.rule, getattr(made, name)) for name, field in declared(self.made).items()}
+        inner = {name: (rule.section_of(value), value) for name, (rule, value) in parts.items()}
+        tag = {"type": self.tag} if self.tag else {}
+        return tag | {name: value if part is None else part.data(value) for name, (part, value) in inner.items()}
 
     def load(self, data: Any) -> Any:
         """The instance that a file's data make.

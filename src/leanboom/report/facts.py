@@ -190,7 +190,7 @@ def path(task: Task) -> PathFacts:
     low, high = (np.array([ends.ravel()[i] for ends in intervals]) for i in (0, -1))
     haste = least_haste(crane, plane, low, high)
     worst = int(haste.argmax())
-    if haste[worst] > TOO_FAST:
+    if haste[worst] > TOO_FAST and task.timing == "fixed":
         raise InfeasibleError(
             f"the path is too fast for the cylinders at {time[worst]:.3f} s, where the tool moves at "
             f"{np.linalg.norm(points.velocity[worst]):.3g} m/s: whatever the extension does, one of them would have to "
