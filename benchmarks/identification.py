@@ -29,7 +29,7 @@ STEP_HELD = 1.2  # [s], of a constant command
 RATES = np.array([0.031, 0.05, 0.083, 0.037]), np.array([0.09, 0.17, 0.21, 0.11])  # [Hz]
 MIDDLE = np.array([0.0, 0.35, -1.4, 1.8])
 REACH = np.array([0.8, 0.5, 0.9, 1.6])
-HANDOVER = 8.0  # [s]
+HANDOVER, MOMENT = 8.0, 1e-3  # [s]
 
 
 class Waves(DeadZoneInverse):
@@ -49,15 +49,18 @@ class Waves(DeadZoneInverse):
         self._rng = np.random.default_rng(7)
         self._held = np.zeros(len(ends))
         self._until = self.tracking + np.arange(len(ends)) * STEP_HELD / len(ends)
+        self._course = self._lengths(np.arange(0.0, self.tracking + 2.0 * MOMENT, MOMENT))
 
     def _length(self, i: int, q: float) -> float:
         return float(self._cylinders[i].linkage.length_arm_slope(q)[0])
 
-    def _lengths(self, t: float) -> np.ndarray:
-        share = min(t / HANDOVER, 1.0)
-        slow, fast = (np.sin(2 * np.pi * rate * t) for rate in RATES)
+    def _lengths(self, times: np.ndarray) -> np.ndarray:
+        """Of the cylinders on their waves, beyond the shortest, (times, cylinders)."""
+        share = np.minimum(times / HANDOVER, 1.0)[:, None]
+        slow, fast = (np.sin(2 * np.pi * rate * times[:, None]) for rate in RATES)
         q = (1.0 - share) * self._start + share * (MIDDLE + REACH * (0.8 * slow + 0.2 * fast))
-        return np.array([self._length(i, value) for i, value in enumerate(q)]) - self._shortest
+        pairs = zip(self._cylinders, q.T, strict=True)
+        return np.stack([each.linkage.length_arm_slope(along)[0] for each, along in pairs], axis=1) - self._shortest
 
     def command(self, now: Sample) -> np.ndarray:
         """The commands of a sample.
@@ -66,8 +69,9 @@ class Waves(DeadZoneInverse):
             now: The sample.
         """
         if now.time < self.tracking:
-            now.target_position = self._lengths(now.time)
-            now.target_velocity = (self._lengths(now.time + 1e-3) - now.target_position) / 1e-3
+            at = round(now.time / MOMENT)
+            now.target_position = self._course[at]
+            now.target_velocity = (self._course[at + 1] - self._course[at]) / MOMENT
             return super().command(now)
         for i in np.flatnonzero(now.time >= self._until):
             share = (now.joint[i] - self._ends[i, 0]) / (self._ends[i, 1] - self._ends[i, 0])
@@ -99,13 +103,16 @@ def drive(machine: Machine, seconds: float, tracking: float = 60.0) -> dict[str,
     return columns(lb.simulate(task, motion, controller=chosen, tolerance=1e-5))
 
 
-def measured(run: Mapping[str, np.ndarray], names: tuple[str, ...], seed: int) -> dict[str, np.ndarray]:
+def measured(
+    run: Mapping[str, np.ndarray], names: tuple[str, ...], seed: int, commanded: tuple[str, ...] | None = None
+) -> dict[str, np.ndarray]:
     """What sensors with noise and quantisation show of a run.
 
     Args:
         run: Its columns.
         names: Of the joints.
         seed: Of the noise.
+        commanded: Joints whose commands are logged; None: all.
     """
     rng = np.random.default_rng(seed)
 
@@ -119,7 +126,8 @@ def measured(run: Mapping[str, np.ndarray], names: tuple[str, ...], seed: int) -
         found[key] = seen(run[key], step)
         for side in "ab":
             found[f"{name}_pressure_{side}_pa"] = seen(run[f"{name}_pressure_{side}_pa"], PRESSURE)
-        found[f"{name}_command"] = run[f"{name}_command"]
+        if commanded is None or name in commanded:
+            found[f"{name}_command"] = run[f"{name}_command"]
     found["supply_pa"] = seen(run["supply_pa"], PRESSURE)
     flow = run["pump_flow_m3_s"]
     volume = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time_s) * (flow[1:] + flow[:-1]))])
@@ -216,7 +224,11 @@ def errors(
 
 
 def coverage(
-    machine: Machine, run: Mapping[str, np.ndarray], folder: Path, repetitions: int
+    machine: Machine,
+    run: Mapping[str, np.ndarray],
+    folder: Path,
+    repetitions: int,
+    commanded: tuple[str, ...] | None = None,
 ) -> dict[str, tuple[int, int]]:
     """How many intervals cover the truth over repetitions with other noise, and of how many, by parameter.
 
@@ -225,11 +237,12 @@ def coverage(
         run: Columns of the run.
         folder: For logs.
         repetitions: How many.
+        commanded: Joints whose commands are logged; None: all.
     """
     truth, draft = truth_of(machine), draft_of(machine)
     counts: dict[str, tuple[int, int]] = {}
     for seed in range(repetitions):
-        log = write_log(folder / "log.csv", measured(run, machine.names, 1000 + seed))
+        log = write_log(folder / "log.csv", measured(run, machine.names, 1000 + seed, commanded))
         for name, _, _, _, covers in errors(identify([log], draft), truth):
             if covers is not None:
                 hit, of = counts.get(name, (0, 0))

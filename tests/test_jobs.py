@@ -52,5 +52,15 @@ def test_a_failure_is_a_reason_and_spares_the_others(what, reason, refused):
     assert good.value[0] == "fine" and not good.failed
 
 
+def allowed(_):
+    return os.environ.get("LEANBOOM_THREADS")
+
+
+def test_each_process_keeps_to_one_thread_in_sweeps_too():
+    """It told numba alone, but sweeps ask `resources.threads`, which counted the cores."""
+    (outcome,) = processes.each(allowed, [None])
+    assert outcome.value == "1"
+
+
 def test_nothing_to_do():
     assert processes.each(fate, []) == []

@@ -96,7 +96,8 @@ def quieten() -> None:
 
 
 def single_thread() -> None:
-    """Keep this process to one thread, where several share the cores."""
+    """Keep this process to one thread, where several share the cores, and those that it starts."""
     import numba
 
+    os.environ["LEANBOOM_THREADS"] = "1"
     numba.set_num_threads(1)

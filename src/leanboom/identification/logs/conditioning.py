@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -147,9 +148,17 @@ def _resampled(
 
 
 def _filter(values: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
-    from scipy.signal import butter, sosfiltfilt
+    from scipy.signal import sosfiltfilt
 
-    return sosfiltfilt(butter(ORDER, cutoff, fs=rate, output="sos"), values)
+    return sosfiltfilt(_designed(rate, cutoff), values)
+
+
+@lru_cache
+def _designed(rate: float, cutoff: float) -> np.ndarray:
+    """The low pass; a fit asks for the same one hundreds of times."""
+    from scipy.signal import butter
+
+    return np.asarray(butter(ORDER, cutoff, fs=rate, output="sos"))
 
 
 def _cutoff(positions: Sequence[np.ndarray], rate: float) -> float:
