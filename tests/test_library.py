@@ -7,10 +7,10 @@ import json
 import os
 import signal
 import sqlite3
-import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from command_line import leanboom
+from leanboom import resources
 from leanboom.errors import InfeasibleError, InputError, LeanboomError
 from leanboom.io import loading
 from leanboom.library import carrying, engine, keys, specification, warm_starts
@@ -60,19 +61,19 @@ def hold(sweep, near, *, marker=None, wait=0.0):
     for task in sweep.tasks:
         count = round(task.duration / 0.05)
         still = motion.from_velocities(task.duration / count, 0.5, np.zeros(count + 1), "dp", sweep.pump)
-        found.append(Result(0.5, True, "solved", 1000.0 * task.duration + task.payload, 1e4, 0.0, still))
+        found.append(Result(0.5, None, True, "solved", 1000.0 * task.duration + task.payload, 1e4, 0.0, still))
     return tuple(found)
 
 
 def lost(sweep, near):
-    return tuple(Result(0.5, False, "joint lift is 0.2 rad beyond", None, None, 0.0, None) for _ in sweep.tasks)
+    return tuple(Result(0.5, None, False, "joint lift is 0.2 rad beyond", None, None, 0.0, None) for _ in sweep.tasks)
 
 
 class Threads:
     """Stands for processes."""
 
     def __init__(self, workers):
-        self.room, self._pool = 2, ThreadPoolExecutor(1)
+        self.slots, self.room, self._pool = 1, 2, ThreadPoolExecutor(1)
 
     def __enter__(self):
         return self
@@ -82,9 +83,6 @@ class Threads:
 
     def submit(self, *call):
         return self._pool.submit(*call)
-
-    def broken(self, ended):
-        return False
 
 
 @pytest.fixture
@@ -153,33 +151,29 @@ def test_motions_of_another_value_are_planned_again_and_no_others(made, tmp_path
         assert held.count() == 8
 
 
-SCRIPT = """
-import sys
-from functools import partial
-from pathlib import Path
-import test_library
-from leanboom.library import engine, specification
-if __name__ == "__main__":
-    made = specification.load(Path(sys.argv[1]))
-    engine.build(made, Path(sys.argv[2]), workers=1, work=partial(test_library.hold, wait=0.1),
-                 progress=lambda text, share: print(text, flush=True))
-"""
+def slowly(spec, out, pipe):
+    """A build of another process that says how far it is."""
+    made = specification.load(spec)
+    tell = lambda text, share: pipe.send(text)  # noqa: E731
+    engine.build(made, out, workers=1, work=partial(hold, wait=0.05), progress=tell)
 
 
 def test_a_build_that_is_killed_loses_nothing_that_it_reported(made, tmp_path, rng, threads):
     """Whatever moment it is killed at, the next one goes on."""
-    script, out = tmp_path / "run.py", tmp_path / "out"
-    script.write_text(SCRIPT)
-    paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
-    begin = {"args": [sys.executable, script, tmp_path / "few.yaml", out], "env": os.environ | {"PYTHONPATH": paths}}
-    running = subprocess.Popen(**begin, stdout=subprocess.PIPE, text=True)
-    for line in running.stdout:
-        if "of 8 motions" in line:
-            break
-    time.sleep(rng.uniform(0.0, 0.3))
+    out, context = tmp_path / "out", resources.process_context([engine.__name__])
+    here, there = context.Pipe(duplex=False)
+    running = context.Process(target=slowly, args=(tmp_path / "few.yaml", out, there))
+    running.start()
+    there.close()
+    while "of 8 motions" not in (line := here.recv()):
+        pass
+    time.sleep(rng.uniform(0.0, 0.15))
     running.kill()
-    told, _ = running.communicate()
-    number = max(int(said.split()[0]) for said in (line, *told.splitlines()))
+    running.join()
+    number = int(line.split()[0])
+    with suppress(EOFError):
+        while True:
+            number = int(here.recv().split()[0])
     with Store(out) as held:
         assert held.count() >= number > 0
     _whole(out)
@@ -192,6 +186,21 @@ def test_a_worker_that_is_killed_costs_no_motion(made, tmp_path):
     assert (tmp_path / "died").exists()
     assert (summary.solved, summary.failed) == (8, 0)
     assert _whole(tmp_path / "out")
+
+
+def deadly(sweep, near):
+    """Kills its worker for all but one goal, whose sweeps are at work while that happens again and again."""
+    if sweep.tasks[0].path.points[1][0] != 5.0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(0.5)
+    return hold(sweep, near)
+
+
+def test_a_worker_that_dies_costs_the_sweep_it_was_at_and_no_other(made, tmp_path):
+    """All workers shared one pool: the end of one was counted against the sweeps of all."""
+    summary = engine.build(made, tmp_path / "out", workers=2, work=deadly)
+    assert (summary.solved, summary.failed) == (4, 4)
+    assert summary.reasons == {"its worker died 3 times": 4}
 
 
 def test_what_fails_in_every_worker_is_counted_and_tried_again(made, tmp_path):
@@ -233,39 +242,67 @@ def test_two_builds_do_not_write_at_once(made, tmp_path, threads):
     assert engine.build(made, tmp_path / "out", work=second).solved == 8
 
 
-def test_a_truncated_file_is_never_read_and_the_next_build_plans_its_motions(made, tmp_path, threads):
+def test_a_truncated_file_is_never_read_and_the_next_build_writes_it_again(made, tmp_path, threads):
+    """Nothing is planned for that: the index holds its motions too."""
+    from pyarrow import parquet
+
     engine.build(made, tmp_path / "out", work=hold)
     (file,) = (tmp_path / "out" / SEGMENTS).iterdir()
-    content = file.read_bytes()
+    content, rows = file.read_bytes(), parquet.read_table(file)
     for broken in (content[: len(content) // 2], content[:-1], b""):
         file.write_bytes(broken)
         with Library(tmp_path / "out") as library:
-            with pytest.raises(InputError, match="is damaged"):
-                library.query((4.3, 0, 2.5), (5, 0.5, 2))
+            assert library.query((4.3, 0, 2.5), (5, 0.5, 2)).motion.duration == 2.0
             assert carrying.verify(library).damaged
         assert leanboom("library", "verify", str(tmp_path / "out")).exit_code == 2
-        assert engine.build(made, tmp_path / "out", work=hold).reused == 0
+        assert engine.build(made, tmp_path / "out", work=partial(hold, marker="/no/where")).reused == 8
         assert _whole(tmp_path / "out")
         (file,) = (tmp_path / "out" / SEGMENTS).iterdir()
+        assert parquet.read_table(file).equals(rows)
+
+
+def test_a_reader_is_not_disturbed_by_files_put_together_meanwhile(made, tmp_path, threads, monkeypatch):
+    """It read an entry, then a file that was gone."""
+    monkeypatch.setattr(Store, "compact", lambda store: None)
+    engine.build(made, tmp_path / "out", work=hold)
+    monkeypatch.undo()
+    with Store(tmp_path / "out") as reader, Store(tmp_path / "out", write=True) as writer:
+        entries = reader.entries()
+        writer.compact()
+        assert len({each.segment for each in entries}) == 8
+        assert len({each.segment for each in reader.entries()}) == 1
+        assert [reader.motion(each).duration for each in entries] == [each.duration for each in entries]
+
+
+def _aged(out):
+    """Lead an index back to its first format."""
+    old = sqlite3.connect(out / INDEX)
+    old.executescript(
+        "DROP TABLE near; DROP INDEX motions_of_way; DROP INDEX motions_of_segment; DROP TABLE velocities; "
+        "ALTER TABLE motions DROP COLUMN end_m; PRAGMA user_version = 1"
+    )
+    old.close()
 
 
 def test_an_older_format_is_renewed_by_a_build_and_a_newer_one_refused(made, tmp_path, threads):
     out = tmp_path / "out"
     engine.build(made, out, work=hold)
-    old = sqlite3.connect(out / INDEX)
-    old.executescript(
-        "DROP TABLE near; DROP INDEX motions_of_way; DROP INDEX motions_of_segment; PRAGMA user_version = 1"
-    )
-    old.close()
+    _aged(out)
     with pytest.raises(InputError, match="older format 1: build it again"):
         Store(out)
     assert engine.build(made, out, work=hold).reused == 8
     with Library(out) as library:
         assert library.query((4.3, 0, 2.5), (5, 0.5, 2)).stored
+    assert _whole(out)
+    _aged(out)
+    (file,) = (out / SEGMENTS).iterdir()
+    file.write_bytes(file.read_bytes()[:-1])
+    assert engine.build(made, out, work=hold).reused == 0  # its motions were in the damaged file alone
+    assert _whole(out)
     new = sqlite3.connect(out / INDEX)
     new.execute("PRAGMA user_version = 99")
     new.close()
-    with pytest.raises(InputError, match="has format 99, this leanboom reads up to 2"):
+    with pytest.raises(InputError, match="has format 99, this leanboom reads up to 3"):
         engine.build(made, out, work=hold)
 
 
@@ -295,6 +332,8 @@ def test_a_folder_of_something_else_is_left_alone(made, tmp_path):
         (("[2 s, 3 s]", "[0 s]"), r"few.yaml:6: durations\[0\] = 0 s; must be"),
         (("[5.5, 0, 2.0]", "[25, 0, 2]"), r"few.yaml:4: goals.points\[1\] = .*must be a place that the crane reaches"),
         (("starts: [0.5 m]", "starts: [9 m]"), "the stroke of the extension cylinder"),
+        (("starts: [0.5 m]", "end: 9 m"), r"few.yaml:8: end = 9 m; must be from 0 to .* the stroke of the extension"),
+        (("starts: [0.5 m]", "end: best"), "end = best; must be free, same, smallest, middle, or a length"),
         (("straight", "round"), "must be straight, arch"),
         (("payloads", "payload"), "payload is not a key here"),
         (("[[5.0, 0.5, 2.0], [5.5, 0, 2.0]]", "[[4.3, 0, 2.5]]"), "hold no two places apart"),
@@ -320,10 +359,10 @@ def test_bundled_specifications_load(name):
     assert name != "forwarder-small" or made.total <= 24
 
 
-def test_pyarrow_that_is_missing_is_named(monkeypatch, tmp_path):
+def test_pyarrow_that_is_missing_is_named(made, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(LeanboomError, match=r"pip install 'leanboom\[library\]'"):
-        Store(tmp_path)
+        engine.build(made, tmp_path / "out", work=hold)
 
 
 def test_the_nearest_way_and_the_least_energy_that_fits_are_found(made, tmp_path, threads):
@@ -367,6 +406,23 @@ def test_a_store_reads_back_the_same_bits(made, tmp_path, threads, rng):
         again = held.motion(entry)
     assert np.array_equal(again.velocity, moving.velocity)
     assert np.array_equal(again.position, moving.position)
+
+
+def test_motions_end_where_a_specification_says(tmp_path, threads):
+    """The first by the whole search, the next from its neighbour; both come back to where they began."""
+    few = SPEC.replace(", [5.5, 0, 2.0]", "").replace("[0 kg, 100 kg]", "[0 kg]").replace("[2 s, 3 s]", "[3 s]")
+    text = few.replace("starts: [0.5 m]", "starts: [0.4 m, 0.5 m]\npumps: [cp]\nend: same")
+    engine.build(_specification(tmp_path, text), tmp_path / "out")
+    with Library(tmp_path / "out") as library:
+        for entry in library.store.entries():
+            moved = library.store.motion(entry)
+            assert moved.position[-1] == pytest.approx(float(entry.start), abs=1e-6)
+            assert entry.end_m == pytest.approx(float(entry.start), abs=1e-6)
+        answer = library.query((4.3, 0, 2.5), (5, 0.5, 2), pump="cp", extension=0.52)
+        assert library.judged(answer).status_with("cp").solved  # led over, it ends where the stored one does
+    free = _specification(tmp_path, text.replace("same", "free"))
+    with pytest.raises(InputError, match="of motions with end same, not free: give another folder"):
+        engine.build(free, tmp_path / "out")
 
 
 def test_neighbours_lead_to_the_motion_of_the_whole_search():

@@ -105,7 +105,6 @@ def verify(library: Library, sample: int | None = None, seed: int = 0) -> Checke
 
     entries = library.store.entries("segment NOTNULL ORDER BY key")
     damaged = library.store.damaged()
-    entries = [each for each in entries if each.segment not in damaged]
     if sample is not None and sample < len(entries):
         chosen = np.random.default_rng(seed).choice(len(entries), sample, replace=False)
         entries = [entries[k] for k in sorted(chosen)]

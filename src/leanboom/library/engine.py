@@ -116,15 +116,20 @@ def _check_place(out: Path) -> None:
 def _prepare(store: Store, made: Specification) -> int:
     """Make a library ready for a build; number of its motions that are used again."""
     facts = store.facts()
-    name = made.machine.name
+    name, end = made.machine.name, str(made.keys.end)
     if facts.get("machine", name) != name:
         raise InputError(
             f"out = {store.folder}; is a library of machine {facts['machine']}, not {name}: give another folder"
         )
+    if "machine" in facts and facts.get("end", "free") != end:
+        raise InputError(
+            f"out = {store.folder}; is a library of motions with end {facts.get('end', 'free')}, not {end}: give "
+            "another folder"
+        )
     store.forget(set(keys.machine_keys(made.machine).values()))
     texts = {MACHINE: loading.dump_machine(made.machine), SPECIFICATION: made.text}
     folders.write(store.folder, {file: text.encode() for file, text in texts.items()})
-    store.note(machine=name, name=made.name, leanboom=version("leanboom"))
+    store.note(machine=name, name=made.name, end=end, leanboom=version("leanboom"))
     known = store.keys()
     return sum(key in known for family in made.families() for sweep in family.sweeps for key in _keys(made, sweep))
 
@@ -183,15 +188,18 @@ class _Run:
             while family is not None and len(self.waiting) + len(self.flights) < self.pool.room:
                 self.go_on(_Course(family))
                 family = next(families, None)
-            while self.waiting and len(self.flights) < self.pool.room:
-                flight = self.waiting.pop(0)
-                self.flights[self.pool.submit(self.work, flight.sweep, flight.near)] = flight
+            self.submit()
             ended = futures.wait(self.flights, return_when=futures.FIRST_COMPLETED).done if self.flights else set()
-            if self.pool.broken(ended):
-                ended = futures.wait(self.flights).done  # at once: the end of one process is that of the others
-                self.pool.renew()
-            for each in ended:
-                self.take(self.flights.pop(each), each)
+            taken = [(self.flights.pop(each), each) for each in ended]
+            self.submit()  # before results are written, for which workers would wait
+            for flight, each in taken:
+                self.take(flight, each)
+
+    def submit(self) -> None:
+        """Hand sweeps that wait to workers that are free."""
+        while self.waiting and len(self.flights) < self.pool.slots:
+            flight = self.waiting.pop(0)
+            self.flights[self.pool.submit(self.work, flight.sweep, flight.near)] = flight
 
     def go_on(self, course: _Course) -> None:
         """Queue the sweeps of a family that may start now, passing over those that are in the library."""
@@ -249,7 +257,7 @@ class _Run:
         for task, key, result in zip(sweep.tasks, _keys(self.made, sweep), results, strict=True):
             entry = Entry(
                 key, machine, family.origin, family.goal, shape, sweep.pump, task.payload, task.duration,
-                str(task.start), result.start_m, result.solved, result.status, result.energy_j,
+                str(task.start), result.start_m, result.end_m, result.solved, result.status, result.energy_j,
                 result.pseudo_inverse_j, result.solve_s, None, None,
             )  # fmt: skip
             entries.append((entry, result.motion))
@@ -294,46 +302,43 @@ def _without_numbers(status: str) -> str:
 
 
 class _Processes:
-    """Processes of this machine, each on one thread."""
+    """Processes of this machine, each on one thread; each is a pool of its own, so that its end concerns no other."""
 
     def __init__(self, workers: int):
-        self.workers, self.room = workers, workers + 1
-        self._pool: ProcessPoolExecutor | None = None
+        self.slots, self.room = workers, workers + 1
+        self._idle = [self._pool() for _ in range(workers)]
+        self._busy: dict[futures.Future, ProcessPoolExecutor] = {}
 
     def __enter__(self) -> _Processes:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._pool is not None:
-            for process in list((self._pool._processes or {}).values()):  # what they are at would be waited for
+        for pool in (*self._idle, *self._busy.values()):
+            for process in list((pool._processes or {}).values()):  # what they are at would be waited for
                 process.terminate()
-            self._pool.shutdown(cancel_futures=True)
+            pool.shutdown(cancel_futures=True)
+
+    def _pool(self) -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(1, resources.process_context([__name__]), _begin)
 
     def submit(self, work: Work, sweep: Sweep, near: tuple[Known, ...]) -> futures.Future:
-        """Have a sweep planned."""
-        while True:
-            if self._pool is None:
-                self._pool = ProcessPoolExecutor(self.workers, resources.process_context([__name__]), _begin)
-            try:
-                return self._pool.submit(work, sweep, near)
-            except BrokenProcessPool:
-                self.renew()
-
-    def broken(self, ended: set[futures.Future]) -> bool:
-        """Whether a process died: then all of a pool end."""
-        return any(isinstance(each.exception(), BrokenProcessPool) for each in ended)
-
-    def renew(self) -> None:
-        """Have new processes for the next sweep."""
-        pool, self._pool = self._pool, None
-        if pool is not None:
-            pool.shutdown(wait=False, cancel_futures=True)
+        """Have a sweep planned by a process that is idle."""
+        for ended in [each for each in self._busy if each.done()]:
+            self._idle.append(self._busy.pop(ended))
+        pool = self._idle.pop()
+        try:
+            future = pool.submit(work, sweep, near)
+        except BrokenProcessPool:  # it died over its last sweep, or since
+            pool.shutdown(wait=False)
+            pool = self._pool()
+            future = pool.submit(work, sweep, near)
+        self._busy[future] = pool
+        return future
 
 
 def _begin() -> None:
     """What a process does first: one thread, no output, and an end together with the build's process."""
     resources.quieten()
-    single_thread()
     parent = parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
@@ -345,34 +350,21 @@ def _end_with(sentinel: int) -> None:
     os._exit(1)
 
 
-def single_thread() -> None:
-    """Keep a worker to one thread: several of them share the cores."""
-    os.environ["LEANBOOM_THREADS"] = "1"
-    resources.single_thread()
-
-
 class _Dask:
     """A Dask cluster."""
 
     def __init__(self, client: Any, workers: int):
-        self.room = workers + 1
+        self.slots = self.room = workers + 1
         self._pool = client.get_executor(pure=False)
 
     def submit(self, work: Work, sweep: Sweep, near: tuple[Known, ...]) -> futures.Future:
         """Have a sweep planned."""
         return self._pool.submit(_on_worker, work, sweep, near)
 
-    def broken(self, ended: set[futures.Future]) -> bool:
-        """Never: Dask renews its workers by itself, and hands what they were at to others."""
-        return False
-
-    def renew(self) -> None:
-        """Nothing to renew."""
-
 
 def _on_worker(work: Work, sweep: Sweep, near: tuple[Known, ...]) -> tuple[Result, ...]:
     """What a worker of a cluster does."""
-    single_thread()
+    resources.single_thread()
     return work(sweep, near)
 
 

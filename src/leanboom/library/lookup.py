@@ -203,7 +203,9 @@ def task_of(entry: Entry, machine: Machine, start: float | None = None) -> Task:
     """
     path = specification.shape_of(entry.shape).path(entry.origin, entry.goal, entry.duration)
     first = entry.start_m if start is None else start
-    return Task("stored", machine, path, entry.payload, "smallest" if first is None else max(0.0, first))
+    begin = "smallest" if first is None else max(0.0, first)
+    end = "free" if entry.end_m is None else max(0.0, entry.end_m)
+    return specification.asked("stored", machine, path, entry.payload, begin, end)
 
 
 def led_over(stored: Motion, extension: float) -> Motion:

@@ -21,7 +21,7 @@ from leanboom.components.paths import Lines, Path, Spline
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.io import loading
 from leanboom.model.machine import Machine
-from leanboom.model.task import Start, Task
+from leanboom.model.task import End, Start, Task
 from leanboom.problem import stages
 from leanboom.quantities import ranges
 from leanboom.quantities.declarations import Variant
@@ -137,6 +137,8 @@ class LibraryKeys:
     payloads: Annotated[tuple[LeastMass, ...], Listing("at least one mass", ranges.LEAST_MASS, 1)] = (0.0,)
     pumps: Annotated[tuple[Annotated[str, _PUMP], ...], Listing("at least one of ls, cp", _PUMP, 1)] = ("ls",)  # type: ignore[arg-type]
     starts: Annotated[tuple[Start, ...], Listing("at least one start", _START, 1)] = ("smallest",)  # type: ignore[arg-type]
+    end: End = "free"
+    """Where the redundant cylinder ends in all motions, as in a task."""
 
     @property
     def each(self) -> int:
@@ -205,7 +207,23 @@ class Specification:
 
     def _sweep(self, path: Path, payload: float, pump: str) -> Sweep:
         starts = dict.fromkeys(self.keys.starts)
-        return Sweep(tuple(Task(self.name, self.machine, path, payload, start) for start in starts), pump)
+        end = self.keys.end
+        return Sweep(tuple(asked(self.name, self.machine, path, payload, start, end) for start in starts), pump)
+
+
+def asked(
+    name: str, machine: Machine, path: Path, payload: float = 0.0, start: Start = "smallest", end: End = "free"
+) -> Task:
+    """The task of a motion of a library; all tasks of libraries are made here.
+
+    Args:
+        name: Its name.
+        machine: The machine.
+        path: What the tool does.
+        payload: What it carries [kg].
+        start, end: Where the redundant cylinder starts and ends, as in a task.
+    """
+    return Task(name, machine, path, payload, start, end)
 
 
 def load(name_or_path: str | FilePath, workers: int = 1, most: int = MOST) -> Specification:
@@ -231,9 +249,9 @@ def load(name_or_path: str | FilePath, workers: int = 1, most: int = MOST) -> Sp
         for key in ("origins", "goals"):
             unreachable.extend(_check_places(source, key, getattr(keys, key), machine))
         longest = machine.redundant.stroke
-        for i, start in enumerate(keys.starts):
-            if isinstance(start, float) and start > longest:
-                source.refuse(("starts", i), f"must be from 0 to {longest:.6g} m, the stroke of the extension cylinder")
+        for key, place in (*((("starts", i), start) for i, start in enumerate(keys.starts)), (("end",), keys.end)):
+            if isinstance(place, float) and place > longest:
+                source.refuse(key, f"must be from 0 to {longest:.6g} m, the stroke of the extension cylinder")
 
     name, keys, machine, text = loading.load_keys("library", name_or_path, LibraryKeys, check)
     made = Specification(name, machine, keys, text, tuple(unreachable))
@@ -267,7 +285,7 @@ def out_of_reach(machine: Machine, place: tuple[float, float, float]) -> str:
     """
     near = (*place[:2], place[2] + 1e-6)
     try:
-        stages.discretise(Task("reach", machine, Lines((place, near), (1.0,))), 1.0)
+        stages.discretise(asked("reach", machine, Lines((place, near), (1.0,))), 1.0)
     except InfeasibleError as error:
         return str(error).replace(" at 0.000 s (stage 0)", "")
     except InputError as error:

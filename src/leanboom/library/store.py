@@ -3,6 +3,9 @@
 Whatever is written appears as a whole or not at all. Motions are written to a new file first, then the index takes them
 in, in one transaction; what the index does not name does not exist. So a build that ends at any moment, however it
 ends, leaves a library that is whole. Readers never write.
+
+The index holds the motions a second time, one a row: a file of Parquet is slow to take one of them out of. Readers use
+the index alone, so files may be put together or removed while they read; a file that is damaged is written again.
 """
 
 from __future__ import annotations
@@ -14,7 +17,6 @@ import sqlite3
 from collections.abc import Iterable, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,9 +31,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 INDEX, SEGMENTS, MACHINE, SPECIFICATION = "index.sqlite", "segments", "machine.yaml", "library.yaml"
-ROWS = 64  # motions that are read together
+ROWS = 64  # motions of a group in a file
 FULL = 4096  # motions in a full file; files that hold less than half as many are put together
-OPEN = 32  # files that a reader keeps open
 
 # Each entry leads an index from one format to the next; the format of an index is the number of entries it has had.
 FORMATS = (
@@ -56,6 +57,11 @@ FORMATS = (
     INSERT INTO near SELECT id, origin_x, origin_x, origin_y, origin_y, goal_x, goal_x, goal_y, goal_y, goal_z, goal_z
         FROM ways;
     """,
+    """
+    ALTER TABLE motions ADD COLUMN end_m REAL;
+    CREATE TABLE velocities (
+        key TEXT PRIMARY KEY, step REAL NOT NULL, start REAL NOT NULL, velocity BLOB NOT NULL);
+    """,
 )
 FORMAT = len(FORMATS)
 
@@ -74,6 +80,7 @@ class Entry:
     duration: float  # [s]
     start: str  # of the redundant cylinder, as asked for
     start_m: float | None  # where that is [m]
+    end_m: float | None  # where it must end [m]; None where its end is free
     solved: bool
     status: str
     energy_j: float | None  # of its pump
@@ -85,13 +92,16 @@ class Entry:
 
 _WAY = ("origin_x", "origin_y", "origin_z", "goal_x", "goal_y", "goal_z")
 _OWN = (
-    "key", "machine", "pump", "payload", "duration", "start", "start_m", "solved", "status", "energy_j",
+    "key", "machine", "pump", "payload", "duration", "start", "start_m", "end_m", "solved", "status", "energy_j",
     "pseudo_inverse_j", "solve_s", "segment", "row",
 )  # fmt: skip
 _SELECT = (
     f"SELECT {', '.join(f'motions.{name}' for name in _OWN)}, {', '.join(_WAY)}, shape "
     "FROM motions JOIN ways ON ways.id = motions.way "
 )
+_VELOCITIES = "SELECT velocities.key, step, velocities.start, velocity FROM velocities"
+_HELD, _PLACED = "SELECT key FROM velocities", "SELECT key FROM motions WHERE segment NOTNULL"
+_NUMBERS = "<f8"
 
 
 def arrow() -> Any:
@@ -120,7 +130,6 @@ class Store:
         Raises:
             InputError: There is no library, its format is not known here, or it cannot be read.
         """
-        arrow()
         self.folder = folder
         index = folder / INDEX
         if not write and not index.is_file():
@@ -140,7 +149,6 @@ class Store:
                 self._index.executescript(f"BEGIN; {FORMATS[number]} PRAGMA user_version = {number + 1}; COMMIT;")
         if write:
             (folder / SEGMENTS).mkdir(exist_ok=True)
-        self._opened = lru_cache(OPEN)(self._open_segment)
 
     def close(self) -> None:
         """Close it."""
@@ -254,47 +262,20 @@ class Store:
             for entry, _ in entries:
                 row = rows.get(entry.key)
                 _insert(index, entry, None if row is None else number, row)
+            _insert_velocities(index, kept)
 
     def motion(self, entry: Entry) -> Motion:
         """The motion of an entry.
 
         Raises:
-            InputError: Its file is damaged.
+            InputError: It is not there any more.
         """
-        assert entry.segment is not None and entry.row is not None
-        try:
-            file = self._opened(entry.segment)
-            group, row = divmod(entry.row, file.metadata.row_group(0).num_rows)
-            table = file.read_row_group(group, use_threads=False)  # threads take longer to begin than to read
-            key = table.column("key")[row].as_py()
-            velocity = table.column("velocity")[row].values.to_numpy()
-            step, start = table.column("step")[row].as_py(), table.column("start")[row].as_py()
-        except (OSError, IndexError, ValueError, arrow().ArrowException) as error:
-            raise self._damaged(entry.segment, str(error)) from None
-        if key != entry.key:
-            raise self._damaged(entry.segment, "it holds another motion there")
-        return motion.from_velocities(step, start, velocity, "dp", entry.pump)
-
-    def motions_of(self, segment: int) -> dict[str, Motion]:
-        """All motions of a file by their keys, for work on many of them."""
-        try:
-            return _motions(self._opened(segment).read())
-        except (OSError, ValueError, arrow().ArrowException) as error:
-            raise self._damaged(segment, str(error)) from None
-
-    def _open_segment(self, segment: int) -> Any:
-        from pyarrow import parquet
-
-        row = self._index.execute("SELECT file FROM segments WHERE id = ?", (segment,)).fetchone()
+        with self._explained():
+            row = self._index.execute(f"{_VELOCITIES} WHERE key = ?", (entry.key,)).fetchone()
         if row is None:
-            raise ValueError("it is not in the index")
-        return parquet.ParquetFile(self.folder / SEGMENTS / row[0], memory_map=True)
-
-    def _damaged(self, segment: int, why: str) -> InputError:
-        return InputError(
-            f"library = {self.folder}; file {segment} of its motions is damaged ({why}): build it again, which plans "
-            "what is lost"
-        )
+            raise InputError(f"library = {self.folder}; a build has taken motion {entry.key} out: ask again")
+        _, step, start, velocity = row
+        return _moved(step, start, velocity, entry.pump)
 
     # --- care ---
 
@@ -310,7 +291,7 @@ class Store:
         return found
 
     def forget(self, machines: Iterable[str] | None = None) -> int:
-        """Take out what cannot be used: motions in damaged files, and those of other machines.
+        """Write damaged files again, and take out motions that are lost or of other machines.
 
         Args:
             machines: Digests of the machine; None: motions of all are kept.
@@ -319,18 +300,33 @@ class Store:
             Number of motions taken out.
         """
         broken = self.damaged()
+        self._fill(set(broken))
         with self._transaction() as index:
             before = index.execute("SELECT count(*) FROM motions").fetchone()[0]
-            for number in broken:
-                index.execute("DELETE FROM motions WHERE segment = ?", (number,))
-                index.execute("DELETE FROM segments WHERE id = ?", (number,))
+            index.execute(f"DELETE FROM motions WHERE segment NOTNULL AND key NOT IN ({_HELD})")
             if machines is not None:
                 known = list(machines)
                 index.execute(f"DELETE FROM motions WHERE machine NOT IN ({', '.join('?' * len(known))})", known)
+            index.execute(f"DELETE FROM velocities WHERE key NOT IN ({_PLACED})")
             index.execute("DELETE FROM segments WHERE id NOT IN (SELECT segment FROM motions WHERE segment NOTNULL)")
             after = index.execute("SELECT count(*) FROM motions").fetchone()[0]
+        for number in broken:
+            self._merge([number])
         self._tidy()
         return before - after
+
+    def _fill(self, broken: set[int]) -> None:
+        """Take motions into the index out of files, where it does not hold them: it was of an older format."""
+        select = f"SELECT DISTINCT segment, file FROM motions JOIN segments ON id = segment WHERE key NOT IN ({_HELD})"
+        with self._explained():
+            found = self._index.execute(select).fetchall()
+        for number, file in found:
+            if number not in broken:
+                from pyarrow import parquet
+
+                read = _motions(parquet.read_table(self.folder / SEGMENTS / file))
+                with self._transaction() as index:
+                    _insert_velocities(index, read)
 
     def compact(self) -> None:
         """Put small files together, and motions that are still in use out of files that hold others."""
@@ -356,11 +352,12 @@ class Store:
 
     def _merge(self, segments: list[int]) -> None:
         """One file in place of several."""
+        select = f"{_VELOCITIES} JOIN motions USING (key) WHERE segment = ? ORDER BY row"
         pieces = []
-        for number in segments:
-            used = self.entries("segment = ?", (number,))
-            read = self.motions_of(number)
-            pieces += [(entry.key, read[entry.key]) for entry in used]
+        with self._explained():
+            for number in segments:
+                rows = self._index.execute(select, (number,))
+                pieces += [(key, _moved(step, start, velocity, "")) for key, step, start, velocity in rows]
         with self._explained():
             written = self._write(_table(pieces)) if pieces else None
         with self._transaction() as index:
@@ -372,7 +369,6 @@ class Store:
 
     def _tidy(self) -> None:
         """Remove files that the index does not name."""
-        self._opened.cache_clear()
         named = {file for (file,) in self._index.execute("SELECT file FROM segments")}
         for path in (self.folder / SEGMENTS).iterdir():
             if path.name not in named:
@@ -404,12 +400,24 @@ def _table(motions: Sequence[tuple[str, Motion]]) -> pa.Table:
     return pyarrow.table(columns)
 
 
-def _motions(table: pa.Table) -> dict[str, Motion]:
+def _motions(table: pa.Table) -> list[tuple[str, Motion]]:
     columns = (table.column(name).to_pylist() for name in ("key", "step", "start", "velocity"))
-    return {
-        key: motion.from_velocities(step, start, np.array(velocity), "dp", "")
+    return [
+        (key, motion.from_velocities(step, start, np.array(velocity), "dp", ""))
         for key, step, start, velocity in zip(*columns, strict=True)
-    }
+    ]
+
+
+def _moved(step: float, start: float, velocity: bytes, pump: str) -> Motion:
+    """A motion as the index holds it."""
+    return motion.from_velocities(step, start, np.frombuffer(velocity, _NUMBERS).astype(np.float64), "dp", pump)
+
+
+def _insert_velocities(index: sqlite3.Connection, motions: Iterable[tuple[str, Motion]]) -> None:
+    rows = [
+        (key, each.step, float(each.position[0]), each.velocity.astype(_NUMBERS).tobytes()) for key, each in motions
+    ]
+    index.executemany("INSERT OR REPLACE INTO velocities VALUES (?, ?, ?, ?)", rows)
 
 
 def _entry(row: tuple) -> Entry:

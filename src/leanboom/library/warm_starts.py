@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -21,10 +22,11 @@ from leanboom.evaluation.evaluate import Evaluation
 from leanboom.library.specification import Sweep
 from leanboom.methods import pseudo_inverse
 from leanboom.methods.dp_refined import Search, coarse_policy
-from leanboom.methods.registry import EFFORTS, GRID, STEP, Effort
+from leanboom.methods.registry import STEP, Effort
 from leanboom.model import motion
 from leanboom.model.motion import Motion
 from leanboom.model.task import Task
+from leanboom.planning.planner import run
 from leanboom.problem import stages, starts
 from leanboom.problem.stages import Problem
 
@@ -38,6 +40,7 @@ class Result:
     """What became of a task: all of it that is stored."""
 
     start_m: float | None  # where the redundant cylinder starts [m]; None where there is no motion
+    end_m: float | None  # where it must end [m]; None where there is no motion or its end is free
     solved: bool
     status: str
     energy_j: float | None  # of the pump that it is planned for; None where the crane cannot make the motion
@@ -66,19 +69,21 @@ def plan_sweep(sweep: Sweep, neighbours: Sequence[Known]) -> tuple[Result, ...]:
     """
     found: list[Result] = []
     near = list(neighbours)
-    policy: Policy | None = None
-    for task in sweep.tasks:
+    policies: dict[Any, Policy] = {}  # by where motions end
+    for asked in sweep.tasks:
         began = time.perf_counter()
         try:
-            if near:
-                policy = policy or _policy(task, sweep.pump)
-                best = _warm(task, sweep.pump, policy, _nearest(task, near))
-            else:
-                best = _whole(task, sweep.pump)
-            if not best.feasible and near:
+            task = starts.settled(asked, STEP)
+            best = None
+            # The start of the best closed cycle is found by a search of its own.
+            if near and (task.start, task.end) != ("best", "same"):
+                if task.end not in policies:
+                    policies[task.end] = _policy(task, sweep.pump)
+                best = _warm(task, sweep.pump, policies[task.end], _nearest(task, near))
+            if best is None or not best.feasible:
                 best = _whole(task, sweep.pump)
         except LeanboomError as error:
-            found.append(Result(None, False, str(error), None, None, time.perf_counter() - began, None))
+            found.append(Result(None, None, False, str(error), None, None, time.perf_counter() - began, None))
             continue
         found.append(_result(task, sweep.pump, best, began))
         if best.feasible:
@@ -89,9 +94,10 @@ def plan_sweep(sweep: Sweep, neighbours: Sequence[Known]) -> tuple[Result, ...]:
 def _result(task: Task, pump: str, best: Evaluation, began: float) -> Result:
     status = best.status_with(pump)
     first = float(best.motion.position[0])
-    other = pseudo_inverse.baseline(task, first, STEP)
+    other = pseudo_inverse.baseline(replace(task, end="free"), first, STEP)
     return Result(
         start_m=first,
+        end_m=None if task.end == "free" else float(best.motion.position[-1]),
         solved=status.solved,
         status=str(status),
         energy_j=best.energy(pump) if best.followed else None,
@@ -102,18 +108,19 @@ def _result(task: Task, pump: str, best: Evaluation, began: float) -> Result:
 
 
 def _whole(task: Task, pump: str) -> Evaluation:
-    """The best motion by the whole search."""
-    return Search(task, pump, GRID, STEP, EFFORTS["default"]).run()
+    """The best motion as `plan` finds it."""
+    return run(task, pump=pump, baseline=False, check=False).evaluation
 
 
 def _policy(task: Task, pump: str) -> Policy:
     """The coarse program that serves all starts of a task, with velocities as far as its motions use them."""
     problem = stages.discretise(task, Search(task, pump, COARSE, STEP, WARM).step)
+    end = starts.end_position(problem, None)
 
     def from_ends(policy: Policy) -> list[Motion]:
         return [value_function.rollout(policy, float(end[0])) for end in (problem.lower, problem.upper)]
 
-    return coarse_policy(problem, COARSE, pump, from_ends)[0]
+    return coarse_policy(problem, COARSE, pump, from_ends, end)[0]
 
 
 def _warm(task: Task, pump: str, policy: Policy, near: Sequence[Known]) -> Evaluation:
