@@ -12,7 +12,7 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint bench lock
+.PHONY: help setup demo test slow lint bench lock
 
 help: ## Show the targets
 	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1	\2/p' $(MAKEFILE_LIST)
@@ -38,9 +38,12 @@ demo: $(READY) ## Plan the half-cycle of a forwarder crane and write its report 
 	@$(BIN)/leanboom plan forwarder-half-cycle --out demo
 	@echo "Open demo/report.html in a browser."
 
-test: lint ## Run all checks and tests
+test: lint ## Run the checks and all tests but the slow ones
+	@$(BIN)/python -m pytest -q --numprocesses 2 --dist worksteal -m "not slow"
+
+slow: $(READY) ## Run the slow tests, and those of the kernels with indices checked
 	@NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -q --numprocesses 2 --dist loadfile $(KERNEL_TESTS)
-	@$(BIN)/python -m pytest -q --numprocesses 2 --dist worksteal
+	@$(BIN)/python -m pytest -q --numprocesses 2 --dist worksteal -m slow
 
 lint: $(READY) ## Check format, style, types and layers
 	@$(BIN)/ruff format --quiet --check || { echo "Run: $(BIN)/ruff format" >&2; exit 1; }

@@ -27,6 +27,7 @@ def test_a_task_is_the_same_whenever_it_is_drawn():
     assert campaign.random_task(NUMBER + 1) != TASK
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pump", PUMPS)
 def test_nothing_beats_the_default_plan(pump, monkeypatch):
     if pump == "ls":  # its plans take ten times as long: no relations here
@@ -41,6 +42,7 @@ def test_nothing_beats_the_default_plan(pump, monkeypatch):
         assert max(rows)[0] <= campaign.SAME
 
 
+@pytest.mark.slow
 def test_a_plan_that_another_look_beats_is_found(monkeypatch, capsys):
     """A default plan from another start than the best one loses to the one that the other grid finds."""
     free, plan = replace(TASK, start="best"), campaign.planned

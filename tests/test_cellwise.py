@@ -105,6 +105,7 @@ def unknown(kept: partition.Cells) -> lower_bounds.Bounds:
     return lower_bounds.Bounds(kept, planes, np.zeros(kept.active[0].shape))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pump", ["cp", "ls"])
 def test_smaller_cells_hold_every_state_of_the_cells_kept(problem, rng, pump):
     kept = partition.whole(problem, pump, still(problem))

@@ -233,6 +233,7 @@ def test_bound_rises_with_refinement(larger_cells):
     assert "gap" in repr(proof)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pump", ["cp", "ls"])
 @pytest.mark.parametrize(("seconds", "start"), [(1e-6, "smallest"), (0.05, "best")])
 def test_a_bound_is_proven_however_short_the_time(monkeypatch, pump, seconds, start):

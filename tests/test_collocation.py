@@ -183,6 +183,7 @@ def test_smoothed_steps_and_maxima():
     assert np.all(excess >= 0.0) and excess.max() == pytest.approx(0.5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cost", ["ls", "cp"])
 def test_collocation_and_polish_agree_on_a_short_smooth_task(task, cost):
     """Within 1 %: smoothing and damping here, stages of 0.05 s and, for LS, another basin there."""

@@ -269,6 +269,7 @@ def test_solving_calls_the_planner_as_plan_does(monkeypatch, task):
     assert found["ls"]["cost"] == "joint-velocity"
 
 
+@pytest.mark.slow
 def test_a_simulated_comparison_has_the_closed_loops_energy_beside_the_plans(monkeypatch, task):
     judged = lb.evaluate(task, motion.from_velocities(0.1, 0.6713, np.zeros(61), "sns-joint", "ls"))
     monkeypatch.setattr(comparison.planner, "run", lambda one, **_: lb.Plan(one, "ls", judged.motion, judged, None, 7))

@@ -50,6 +50,7 @@ def run(package, code, **variables):
     return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_a_changed_formula_is_compiled_again(package, tmp_path):
     """Numba looks at a kernel's own file alone, and ran the old formula of another file for ever."""
     home = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "LOCALAPPDATA": str(tmp_path / "cache"), "HOME": str(tmp_path)}
@@ -64,6 +65,7 @@ def test_a_changed_formula_is_compiled_again(package, tmp_path):
     assert run(package, "import leanboom.probe", **home).stdout.split() == ["30.0", "1"]
 
 
+@pytest.mark.slow
 def test_without_a_home_kernels_go_to_a_temporary_folder_with_one_line(package, tmp_path):
     """Containers and the user nobody: neither the home nor the package can be written; numba refused to import."""
     for path in (package / "__pycache__", tmp_path / "home"):

@@ -55,6 +55,7 @@ def test_python_compiles(path):
         compile(block, name(path), "exec")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("path", "number"),
     [pytest.param(path, i, id=f"{name(path)}-{i}") for path in FIRST for i in range(len(blocks(path)))],

@@ -77,6 +77,7 @@ def test_forces_are_quasi_static():
     assert np.any(dp_velocity.stage_cost(program, 0)[:, 2] % program.penalty > 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["forwarder-vertical", "loader-triangle-small"])
 @pytest.mark.parametrize("cost", ["ls", "cp"])
 def test_beats_the_other_pumps_plan_from_the_middle(name, cost):

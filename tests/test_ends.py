@@ -66,6 +66,7 @@ def test_the_fixed_mode_program_leads_to_the_end_and_no_shift_of_its_answer_is_b
             assert other.energy_cp >= best.energy_cp * (1.0 - 1e-5) or not other.feasible
 
 
+@pytest.mark.slow
 def test_the_best_closed_cycle_costs_no_more_than_those_of_given_starts():
     free = replace(CLOSED, start="best")
     plan = planner.run(free, pump="cp", **QUICK)
@@ -129,6 +130,7 @@ def test_a_receding_horizon_ends_where_the_task_asks():
     assert moved.position[-1] == pytest.approx(moved.position[0], abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_bound_knows_the_end():
     """It is above the bound with a free end, and below what closed motions cost."""
     proofs = []

@@ -22,6 +22,7 @@ def test_example_fits_a_screen(path):
     assert len(path.read_text(encoding="utf-8").splitlines()) < 60
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_example_runs_and_writes_only_where_it_is_told(path, tmp_path):
     """Warnings are errors; one thread, because grids are small and other tests may want the rest."""

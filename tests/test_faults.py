@@ -27,6 +27,7 @@ start: smallest
 """
 
 
+@pytest.mark.slow
 def test_mutated_files_load_or_are_refused_in_words():
     tally = faults.mutated_files(range(80), SEED)
     assert not tally.finds, "\n".join(map(str, tally.finds))
@@ -77,12 +78,14 @@ def test_a_loader_with_a_fault_is_found(loader, said, monkeypatch):
     assert finds[0].case == "file 4"
 
 
+@pytest.mark.slow
 def test_plans_of_mutated_machines_are_finite_and_keep_their_limits():
     tally = faults.mutated_plans(range(6), SEED, [SHORT])
     assert not tally.finds, "\n".join(map(str, tally.finds))
     assert tally.counts["solved"] > 0
 
 
+@pytest.mark.slow
 def test_a_plan_that_falls_behind_or_breaks_a_limit_is_found(monkeypatch, tmp_path):
     task = load_task(written(tmp_path, SHORT), start="middle")
     tally = faults.Tally()
@@ -106,6 +109,7 @@ def slowed(task):
     return replace(task, machine=replace(task.machine, cylinders=cylinders))
 
 
+@pytest.mark.slow
 def test_killed_runs_leave_a_whole_folder_or_none_and_the_next_run_nothing_hidden(tmp_path):
     tally = faults.killed_runs([2, 3], SEED, "sns-actuator", str(written(tmp_path, SHORT)))
     assert not tally.finds, "\n".join(map(str, tally.finds))

@@ -26,6 +26,7 @@ def loader(coarser_guide):
     return problem, kept, value_slopes.make(problem, "cp", kept.viable, held)
 
 
+@pytest.mark.slow
 def test_guided_bounds_see_the_end_of_the_stroke_and_stay_below_every_motion(loader):
     problem, _, known = loader
     kept, start = partition.whole(problem, "cp", times=(1, 2)), float(problem.lower[0])

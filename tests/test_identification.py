@@ -137,6 +137,7 @@ def test_json_has_the_promised_keys_and_only_finite_numbers(found):
     assert all(set(each) == {"rms", "rms_percent"} for each in data["fit"].values())
 
 
+@pytest.mark.slow
 def test_intervals_of_gravity_cover_the_truth_in_most_repetitions(truth, run, tmp_path):
     """A small part of the benchmark: two other noises, and nothing of valves."""
     counts = known.coverage(truth, {name: values[::4] for name, values in run.items()}, tmp_path, 2, ())

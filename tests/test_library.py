@@ -472,6 +472,7 @@ def test_the_command_builds_queries_verifies_and_exports(tmp_path):
     assert (bad.exit_code, "must be three lengths" in bad.stderr) == (2, True)
 
 
+@pytest.mark.slow
 def test_a_dask_cluster_builds_the_same_library(made, tmp_path):
     summary = engine.build(made, tmp_path / "out", workers=1, cluster="local", work=hold)
     assert (summary.solved, summary.failed) == (8, 0)

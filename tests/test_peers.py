@@ -125,6 +125,7 @@ def test_paths_as_polynomials_are_the_paths(name):
             np.testing.assert_allclose(np.stack(np.broadcast_arrays(*values), axis=1), wanted, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_maptor_plans_what_collocation_plans(monkeypatch):
     """On the first mesh and level, within 3 % of the optimum: neighbouring intervals of its answer share a point."""
     pytest.importorskip("maptor")

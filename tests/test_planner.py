@@ -63,6 +63,7 @@ def assert_good(judged: Evaluation) -> None:
 # How good
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("pump", "most"), [("cp", 17.6e3), ("ls", 5.5e3)])
 def test_start_on_a_joint_limit_is_planned_to_the_known_optimum(pump, most):
     """17.52 kJ and 5.41 kJ are known of this path from finer grids; a third of the pseudo-inverse's energy."""
@@ -79,6 +80,7 @@ def test_start_on_a_joint_limit_is_planned_to_the_known_optimum(pump, most):
     assert evaluate(VERTICAL, result.motion).energy(pump) == pytest.approx(result.evaluation.energy(pump), rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pump", planner.PUMPS)
 @pytest.mark.parametrize(
     ("name", "start"),
@@ -95,6 +97,7 @@ def test_no_other_method_is_better(name, start, pump):
             assert ours.evaluation.energy(pump) <= other.energy(pump) * (1.0 + slack), (method, other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [method for method in METHODS.names() if method != "dp-paper"])
 def test_every_method_returns_a_judged_motion_of_its_name(method):
     result = ran("edge", "middle", "ls", method)
@@ -103,6 +106,7 @@ def test_every_method_returns_a_judged_motion_of_its_name(method):
     assert result.motion.position[0] == pytest.approx(ran("edge", "middle", "ls").motion.position[0], abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["slewing", "edge"])
 @pytest.mark.parametrize("pump", planner.PUMPS)
 def test_best_start_is_not_worse_than_the_others(name, pump):
@@ -119,6 +123,7 @@ def test_the_plan_for_a_pump_is_the_better_one_for_that_pump(name):
     assert cp.energy_cp <= ls.energy_cp * (1.0 + SLACK)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cost", COSTS)
 def test_every_cost_gives_a_feasible_plan_not_dearer_than_the_pseudo_inverse(cost):
     result = planner.run(replace(EDGE, start="middle"), cost=cost, grid=(31, 21), step=0.2)
@@ -175,6 +180,7 @@ def test_a_path_too_close_to_the_base_names_the_joint():
         planner.plan(task, grid=(31, 21), step=0.1)
 
 
+@pytest.mark.slow
 def test_a_path_too_fast_names_limit_time_and_a_duration_that_works():
     fast = moved_in_time(1.2)
     result = planner.run(fast, pump="cp", grid=(61, 41), step=0.05, check=False)
@@ -236,6 +242,7 @@ def test_methods_of_one_start_refuse_best(method):
 # Hard cases
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_hard_case(name, tmp_path):
     """Feasible whatever is hard about it, and never dearer than the pseudo-inverse."""

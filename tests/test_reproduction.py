@@ -281,6 +281,7 @@ def test_the_name_of_a_solution_tells_all_it_depends_on():
     assert reproduction.key(job) == reproduction.key(EXPERIMENTS["table3"].jobs()["DP (CP)"])
 
 
+@pytest.mark.slow
 def test_all_lines_and_the_page_can_be_made(solved, tmp_path):
     result = reproduction.reproduce([], tmp_path)
     rows = result.json()

@@ -113,6 +113,7 @@ def test_a_path_far_too_fast_is_proven_to_have_no_motion():
 # Relations between plans
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pump", planner.PUMPS)
 @pytest.mark.parametrize("factor", [3.0, 1000.0])
 def test_limits_that_no_good_motion_comes_near_change_nothing(pump, factor):
@@ -120,6 +121,7 @@ def test_limits_that_no_good_motion_comes_near_change_nothing(pump, factor):
     assert energy(limits(EDGE, factor), pump) <= energy(EDGE, pump) * (1.0 + COARSELY)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pump", planner.PUMPS)
 def test_a_warm_start_is_never_lost(pump):
     tight = limits(VERTICAL, acceleration=0.7)
@@ -134,6 +136,7 @@ def test_a_warm_start_of_another_task_is_refused():
         planner.run(VERTICAL, pump="cp", warm_start=(other,), **COARSE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pump", planner.PUMPS)
 def test_the_best_start_costs_no_more_than_any_given_one(pump):
     best = energy(replace(EDGE, start="best"), pump)
@@ -141,6 +144,7 @@ def test_the_best_start_costs_no_more_than_any_given_one(pump):
         assert best <= energy(replace(EDGE, start=start), pump) * (1.0 + SAME)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pump", planner.PUMPS)
 def test_more_effort_costs_no_more_energy(pump):
     spent = [energy(VERTICAL, pump, effort=effort, seconds=0.1) for effort in ("quick", "default", "thorough")]

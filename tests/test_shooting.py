@@ -81,6 +81,7 @@ def test_the_tool_stays_on_its_path(task):
     assert np.abs(answer.values[[0, -1], joints : 2 * joints]).max() == 0.0
 
 
+@pytest.mark.slow
 def test_shooting_and_collocation_agree_on_a_short_smooth_task(task):
     """CP, where one basin holds everything: within 1 % for smoothing and stages of 0.05 s."""
     motion = multiple_shooting.plan(task, "cp", start_of(task))

@@ -87,6 +87,7 @@ def test_feasible_extensions_end_before_the_straight_pose(offset):
     assert r2 * z3 - z2 * r3 == pytest.approx(-g.boom * e * sin(ELBOW_MARGIN), rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pump", ["ls", "cp"])
 def test_a_path_that_begins_with_the_arm_straight_is_planned(pump):
     """Energies were infinite, numbers a hundred digits long and the saving 100 %."""
@@ -179,6 +180,7 @@ def test_a_motion_says_where_it_is_as_straight_as_plans_go():
 UPRIGHT = ray(knuckle(), 1.5, 3.4, 3.8)
 
 
+@pytest.mark.slow
 def test_a_path_reached_on_the_other_side_alone_is_planned_there():
     assert cranes.sides(UPRIGHT.machine) == (ELBOW_UP, ELBOW_DOWN)
     assert cranes.build(UPRIGHT).side == ELBOW_DOWN
