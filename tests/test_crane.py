@@ -386,8 +386,9 @@ def kernel():
     """All formulas in one compiled function: a call by index, results into an array."""
     from numba import njit
 
-    import leanboom.dynamic_programming.bellman  # noqa: F401 - makes the formulas known to numba
+    from leanboom.formulas.formula import enable_in_kernels
 
+    enable_in_kernels()  # those too that were imported after the kernels
     lines = ["def call(index, x, out):"]
     for index, (name, function) in enumerate(FORMULAS.items()):
         count = len(inspect.signature(function).parameters)
