@@ -60,7 +60,7 @@ def export(task: Task, pump: str, grid: tuple[int, int], step: float, file: Path
     if start is None:
         raise InputError("start = best; dpm simulates forward from one start: smallest, middle or a length")
     table = grids.tables(problem, grids.full_grid(problem, *grid), pump)
-    setting = stage_arrays.setting(problem, pump, (0.0, 0.0, 0.0, 0.0))
+    setting = stage_arrays.setting(problem, pump, (0.0,) * 5)
     contents = {
         "task": task.name, "pump": pump, "start": start, "velocities": float(table.velocities),
         "time": problem.time, "coefficients": table.coefficients, "outside": table.outside,

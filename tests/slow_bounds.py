@@ -23,7 +23,7 @@ def quiet(share: float) -> None:
 
 
 def rates(problem: Problem, pump: str, k, c, w, u) -> tuple[np.ndarray, np.ndarray]:
-    """Energy of stages k from states and controls [J], and the largest use of a limit of velocity or acceleration."""
+    """Energy of stages k from states and controls [J], and the largest use of velocity, acceleration and flow."""
     crane, machine = problem.crane, problem.crane.machine
     k, c, w, u = np.broadcast_arrays(k, c, w, u)
     pose = cranes.pose(crane, problem.plane[k], c)
@@ -38,6 +38,7 @@ def rates(problem: Problem, pump: str, k, c, w, u) -> tuple[np.ndarray, np.ndarr
         pressure = np.maximum(pressure, hydraulics.pressure_demand(v, force[i], *line))
         used = np.maximum(used, np.abs(v) / cylinder.velocity_limit)
         used = np.maximum(used, np.abs(moving.acceleration[i]) / cylinder.acceleration_limit)
+    used = np.maximum(used, flow / problem.task.flow_limit)
     supply = pressure + machine.pump.ls_margin if pump == "ls" else machine.pump.constant_pressure
     return problem.step * supply * flow / machine.pump.efficiency, used
 

@@ -122,6 +122,8 @@ def admissible(small: Small, k: int, row: np.ndarray, w: float, velocities: int)
             continue
         ends = sorted([(-limit - rest) / gain, (limit - rest) / gain])
         low, high = max(low, ends[0]), min(high, ends[1])
+    taken = sum(max(d[layout.FLOW_OUT] * v[i, 0], -d[layout.FLOW_IN] * v[i, 0]) for i, d in enumerate(small.cylinder))
+    cost += s[layout.SLOPE_F] * max(0.0, taken - small.stage[k, layout.MOST_FLOW])
     if low > high:
         cost += s[layout.SLOPE_A] * (low - high)
         low = high = 0.5 * (low + high)

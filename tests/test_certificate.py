@@ -14,8 +14,10 @@ from leanboom import InfeasibleError, InputError, LeanboomError, budget, certify
 from leanboom.certificate import certificate, lower_bounds, partition, refinement, upper_bound
 from leanboom.cli.app import app
 from leanboom.components.pumps import EfficiencyMap, Pump
+from leanboom.model import crane as cranes
 from leanboom.model import motion
-from leanboom.model.task import Lines, Task
+from leanboom.model.pump_flow import pump_flow
+from leanboom.model.task import Limits, Lines, Task
 from leanboom.problem import stages
 from slow_bounds import quiet
 
@@ -89,6 +91,29 @@ def test_bound_never_exceeds_the_brute_force_optimum(larger_cells, seed, pump):
         kept = refined
     assert bound >= 0.9 * least  # close enough to mean something
     assert told
+
+
+@pytest.mark.parametrize("pump", ["cp", "ls"])
+@pytest.mark.parametrize("seed", [1, 4])
+def test_bound_never_exceeds_the_brute_force_optimum_within_the_pumps_flow(seed, pump):
+    """The limit makes motions dearer: what is proven without it holds, and the motion beside it keeps the limit."""
+    task = small_task(seed)
+    problem = stages.discretise(task, task.duration / 4.0)
+    start = 0.5 * (problem.lower[0] + problem.upper[0])
+    free, best = slow_bounds.least_energy(problem, pump, start, 9)
+    assert best is not None
+    pose = cranes.pose(problem.crane, problem.plane[:-1], best.position[:-1])
+    most = pump_flow(problem.crane.drives, cranes.move(pose, best.velocity[:-1], best.acceleration).velocity).max()
+    tight = replace(task.machine, pump=replace(task.machine.pump, max_flow=0.999 * float(most)))
+    limited = stages.discretise(replace(task, machine=tight, limits=Limits(pump_flow=True)), problem.step)
+    least, slower = slow_bounds.least_energy(limited, pump, start, 9)
+    assert slower is not None and least > free
+    assert not upper_bound.measure(limited, best, pump).keeps_limits
+    assert upper_bound.measure(limited, slower, pump).keeps_limits
+    found = lower_bounds.bound(partition.whole(limited, pump, slower, (2, 2)), start, quiet, coarse=True)
+    assert 0.0 < found.lower <= least * (1.0 + 1e-9)
+    costs = upper_bound.measure(limited, slower, pump).costs
+    assert lower_bounds.residuals(found, slower, costs).min() >= -1e-9 * least
 
 
 def energy_behind(kept: partition.Cells, k: int, position: float, velocity: float) -> float:

@@ -57,6 +57,7 @@ def toy(cost: str, spacing: float, a0=None, terminal=None, *, step=0.1, count=10
     cylinder[:, [layout.AREA_OUT, layout.AREA_IN]] = 0.0
     cylinder[:, layout.SQUARE] = cost == "velocity", 1.0
     setting[[layout.STEP, layout.SENSING, layout.WORK, layout.SUPPLY]] = step, 0.0, 0.0, 0.0
+    setting[layout.SLOPE_F] = 0.0
     setting[[layout.SLOPE_C, layout.SLOPE_W, layout.SLOPE_V, layout.SLOPE_A]] = 1e3
     setting[[layout.IDLE, layout.LEAK, layout.DRAG]] = 0.0
     c, w = np.linspace(-half_c, half_c, positions), np.linspace(-half_w, half_w, velocities)

@@ -63,7 +63,7 @@ def test_costs_from_the_file_are_those_of_the_kernels(name, pump, tmp_path, rng)
     par = loadmat(file, squeeze_me=True)
     problem = stages.discretise(task, STEP)
     table = grids.tables(problem, grids.full_grid(problem, *GRID), pump)
-    setting = stage_arrays.setting(problem, pump, (0.0, 0.0, 0.0, 0.0))
+    setting = stage_arrays.setting(problem, pump, (0.0,) * 5)
     checked = 0
     for k in (1, problem.stages // 2, problem.stages - 1):
         w = table.stage[k, layout.W_LO] + table.stage[k, layout.DW] * np.arange(table.velocities)

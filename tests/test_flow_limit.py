@@ -8,15 +8,18 @@ import numpy as np
 import pytest
 
 from command_line import leanboom
+from leanboom.dynamic_programming import grids, value_function
 from leanboom.errors import InputError
-from leanboom.evaluation.evaluate import evaluate
+from leanboom.evaluation.evaluate import evaluate, judged_cost
 from leanboom.io.loading import dump_machine, dump_task, load_machine, load_task
 from leanboom.methods import pseudo_inverse
 from leanboom.model import crane as cranes
 from leanboom.model.motion import from_velocities
 from leanboom.model.pump_flow import pump_flow
-from leanboom.model.task import Limits, Lines, Task
+from leanboom.model.task import Limits, Lines, Task, sample
 from leanboom.planning import planner, summaries
+from leanboom.planning.receding_horizon import plan_receding
+from leanboom.planning.replanning import replan
 from leanboom.problem import least_flow, stages
 
 FORWARDER = load_machine("forwarder")
@@ -110,6 +113,58 @@ def test_summaries_say_the_use_of_flow():
     use = summaries.summary(plan)["limit_use"]
     assert list(use) == ["position", "velocity", "acceleration", "flow"]
     assert use["flow"] == pytest.approx(plan.evaluation.pump_flow.max() / FORWARDER.pump.max_flow, rel=1e-3)
+
+
+# The planner
+
+
+def breaks_between(judged) -> float:
+    """Largest use of flow of a judged motion at 100 times as many instants as the judge looks at."""
+    task = judged.task
+    time = np.linspace(0.0, task.duration, 100 * judged.time.size)
+    crane = cranes.build(task)
+    c, w, u = judged.motion.at(time)
+    pose = cranes.pose(crane, cranes.plane(task.machine, sample(task, time)), c)
+    return float(pump_flow(crane.drives, cranes.move(pose, w, u).velocity).max()) / task.machine.pump.max_flow
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "cost", "share"),
+    [("forwarder-vertical", "middle", "ls", 0.75), ("forwarder-vertical", "middle", "velocity", 0.99),
+     ("loader-triangle-large", "smallest", "cp", 0.8)],
+)  # fmt: skip
+def test_plans_keep_the_limit_at_all_times(name, start, cost, share):
+    """The free plan breaks it; the best motion within it costs more, and uses the limit to its last."""
+    task = replace(load_task(name), start=start)
+    settings = dict(
+        pump="cp" if cost == "cp" else "ls", cost=cost, grid=(61, 41), step=task.duration / 80.0, effort="quick"
+    )
+    free = planner.run(task, baseline=False, **settings).evaluation
+    most = free.limit_use.flow * task.machine.pump.max_flow
+    tight = pumped(task, share * most)
+    assert not evaluate(tight, free.motion).feasible
+    plan = planner.run(tight, baseline=False, **settings)
+    assert plan.solved
+    use = plan.evaluation.limit_use
+    assert breaks_between(plan.evaluation) == pytest.approx(use.flow, abs=1e-4) and use.flow <= 1.001
+    assert judged_cost(plan.evaluation, cost) > judged_cost(free, cost)
+    assert any("polish" in line and "solved" in line.rpartition(", ")[2] for line in plan.motion.log)
+
+
+def test_replanned_motions_and_policies_keep_the_limit():
+    task = replace(load_task("forwarder-vertical"), start="middle")
+    free = planner.run(task, grid=(61, 41), step=0.1, effort="quick", baseline=False).evaluation
+    tight = pumped(task, 0.8 * free.limit_use.flow * task.machine.pump.max_flow)
+    position, velocity = (float(values[0]) for values in free.motion.at(np.array([1.0]))[:2])
+    rest = replan(tight, 1.0, position, velocity)
+    assert rest.solved and not rest.stopping
+    assert rest.task.limits.pump_flow and rest.evaluation.limit_use.flow <= 1.001
+    whole = plan_receding(tight, pump="ls", horizon=4.0, every=1.0)
+    assert evaluate(tight, whole).limit_use.flow <= 1.001
+    problem = stages.discretise(tight, 0.1)
+    policy = value_function.solve(problem, grids.full_grid(problem, 61, 41), "ls")
+    kept = policy.replan(1.0, position, velocity)
+    assert kept.evaluation.limit_use.flow <= 1.001
 
 
 # Bad input

@@ -37,7 +37,7 @@ def small(name: str, cost: str, free: bool = False) -> tuple[derivatives.Program
     moved = motion.from_velocities(problem.step, float(c0), velocity, "test", cost)
     switches = modes.modes(polisher, moved)
     mode = modes._mode_parameters(polisher, switches)
-    stated = modes._program(polisher, moved, switches, mode, free, (1.0, 1.0))
+    stated = modes._program(polisher, moved, switches, mode, free, (1.0,) * 3)
     point = modes._guess(polisher, moved, switches, mode)
     point.local[:] += 0.1 * rng.random(point.local.shape)
     return stated, point
@@ -124,6 +124,7 @@ CASES = [
     *(("vertical", cost) for cost in COSTS),
     *(("slewing", "ls"), ("loader", "ls"), ("loader", "cp")),
     *(("mapped", cost) for cost in ("ls", "cp", "recuperation")),
+    *(("limited", cost) for cost in ("ls", "velocity")),
 ]
 
 
@@ -269,7 +270,7 @@ def by_ipopt(polisher: modes.Polisher, start: motion.Motion, switches: modes.Mod
     ca.GlobalOptions.setNumpyMode(1)
     problem, cost = polisher.problem, polisher.cost
     mode = modes._mode_parameters(polisher, switches)
-    stated = modes._program(polisher, start, switches, mode, False, (1.0, 1.0))
+    stated = modes._program(polisher, start, switches, mode, False, (1.0,) * 3)
     machine, n, count_ = problem.crane.machine, stated.table.shape[2], problem.stages
     u = ca.SX.sym("u", count_)
     s, p = ca.SX.sym("s", n, 2 * count_), ca.SX.sym("p", 2 * count_)
@@ -313,6 +314,8 @@ def by_ipopt(polisher: modes.Polisher, start: motion.Motion, switches: modes.Mod
                 hold(s[i, column] - stated.cylinder[derivatives.AREA_OUT, i] * v, 0.0, np.inf)
                 hold(s[i, column] + stated.cylinder[derivatives.AREA_IN, i] * v, 0.0, np.inf)
                 flow = flow + s[i, column]
+            if problem.task.limits.pump_flow:
+                hold(1e3 * machine.pump.max_flow - flow, 0.0, np.inf)
             hold(p[column], stated.base[k + e], np.inf)
             pressure = p[column] + stated.pump[derivatives.SUPPLY] if cost == "ls" else stated.pump[derivatives.SUPPLY]
             total += 0.5 * problem.step * pressure * flow / machine.pump.efficiency
@@ -330,7 +333,7 @@ def by_ipopt(polisher: modes.Polisher, start: motion.Motion, switches: modes.Mod
     ("name", "cost", "fixed_end"),
     [
         ("vertical", "cp", False), ("vertical", "ls", False), ("loader", "ls", False), ("slewing", "cp", False),
-        ("vertical", "cp", True), ("loader", "ls", True),
+        ("vertical", "cp", True), ("loader", "ls", True), ("limited", "ls", False), ("limited", "cp", False),
     ],
 )  # fmt: skip
 def test_answer_is_ipopts(name, cost, fixed_end):
@@ -347,12 +350,14 @@ def test_answer_is_ipopts(name, cost, fixed_end):
     assert start is not None, text  # its modes agree with themselves
     switches = modes.modes(polisher, start)
     mode = modes._mode_parameters(polisher, switches)
-    stated = modes._program(polisher, start, switches, mode, False, (1.0, 1.0))
+    stated = modes._program(polisher, start, switches, mode, False, (1.0,) * 3)
     guess = modes._guess(polisher, start, switches, mode)
     unit = 1e-3 * cost_scale.energy_scale(problem, cost)
     answer, solved, _ = interior_point.minimise(stated, guess, 1e-5 * unit, 1e-10 * unit, 300)
     assert solved
-    cost_here, _ = measured(stated, flat(answer))
+    cost_here, limits = measured(stated, flat(answer))
+    least = [limits[k] for k in np.flatnonzero(stated.counts.every)]
+    assert min(least) > -1e-6
     assert cost_here == pytest.approx(by_ipopt(polisher, start, switches, fixed_end), rel=1e-4)
 
 
@@ -362,7 +367,7 @@ def test_a_better_answer_from_a_smaller_last_barrier():
     start = seed("vertical", "cp", 0.5)
     switches = modes.modes(polisher, start)
     mode = modes._mode_parameters(polisher, switches)
-    stated = modes._program(polisher, start, switches, mode, False, (1.0, 1.0))
+    stated = modes._program(polisher, start, switches, mode, False, (1.0,) * 3)
     guess = modes._guess(polisher, start, switches, mode)
     costs = []
     for last in (1e-4, 1e-5, 1e-6, 1e-9):

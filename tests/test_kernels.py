@@ -46,10 +46,10 @@ def problem(seed: int, cost: str, *, stages=3, positions=5, velocities=7, prescr
     cylinder = np.empty((MOVING, layout.CYLINDER_COLUMNS))
     columns = [a, b * rng.integers(0, 2, MOVING), 1.1 / a, 3e6 * rng.random(MOVING), 1.2 / b, 3e6 * rng.random(MOVING),
                100.0 + 900.0 * rng.random(MOVING), 2e3 * rng.random(MOVING), 0.1 + 0.2 * rng.random(MOVING),
-               0.3 + 0.4 * rng.random(MOVING), np.zeros(MOVING)]  # fmt: skip
+               0.3 + 0.4 * rng.random(MOVING), np.zeros(MOVING), a, b]  # fmt: skip
     cylinder[:] = np.array(columns).T
     cylinder[:, layout.A_MAX] *= rng.choice([0.2, 1.0])  # every other problem: limits that may exclude each other
-    setting = np.array([0.1, 0.0, 0.0, 0.002, 2e7, 0.8, 4e3, 5e2, 6e2, 7e1, 3e2, 4e-5, 5e8])
+    setting = np.array([0.1, 0.0, 0.0, 0.002, 2e7, 0.8, 4e3, 5e2, 6e2, 7e1, 3e2, 4e-5, 5e8, 0.0])
     if cost == "ls":
         setting[[layout.SENSING, layout.SUPPLY]] = 1.0, 2e6
     elif cost == "recuperation":
@@ -63,6 +63,8 @@ def problem(seed: int, cost: str, *, stages=3, positions=5, velocities=7, prescr
     w = np.linspace(-1.0, 1.0, velocities)[None, :]
     terminal = 200.0 * (rng.normal() * c + rng.normal() * w + np.abs(w) + 0.5 * np.sin(3.0 * c + w))
     outside = 0.01 * np.maximum(0.0, rng.normal(size=(stages + 1, positions)))
+    stage[:, layout.MOST_FLOW] = 1e-3 + 1e-3 * rng.random(stages + 1)
+    setting[layout.SLOPE_F] = rng.choice([0.0, 3e5])  # every other problem: the pump's flow is a limit
     return Small(row, outside, stage, cylinder, setting, np.ascontiguousarray(terminal), cost)
 
 
@@ -186,7 +188,7 @@ def test_the_pressure_of_prescribed_cylinders_is_used_up_but_not_exceeded():
     stage[:, [layout.DC, layout.W_LO, layout.DW, layout.FIXED_PRESSURE]] = 1.0, -1.0, 1.95, 2e6
     cylinder = np.zeros((1, layout.CYLINDER_COLUMNS))
     cylinder[0, [layout.AREA_OUT, layout.GAIN_OUT, layout.V_MAX, layout.A_MAX]] = 0.01, 100.0, 1.0, 1.0
-    setting = np.array([0.1, 1.0, 0.0, 0.002, 3e6, 1.0, *[0.0] * 7])  # load-sensing, 3 MPa of margin
+    setting = np.array([0.1, 1.0, 0.0, 0.002, 3e6, 1.0, *[0.0] * 8])  # load-sensing, 3 MPa of margin
     ahead = -100.0 * np.array([[-1.0, 0.95], [-1.0, 0.95]])
     value, u = best_of_one(row, 0.0, 0.5, 0.1, 0, stage, cylinder, setting, ahead)
     assert u == pytest.approx(0.2, abs=1e-9)
@@ -323,7 +325,7 @@ def test_value_of_a_problem_worked_out_by_hand():
     stage[:, layout.DC], stage[:, layout.W_LO], stage[:, layout.DW] = 100.0, -2.0, 1.0
     cylinder = np.ones((1, layout.CYLINDER_COLUMNS))
     cylinder[0, [layout.V_MAX, layout.A_MAX, layout.SQUARE]] = 10.0, 1.0, 0.0
-    setting = np.array([1.0, 0.0, 0.0, 0.0, 3.0, 1.0, 0.0, 100.0, 100.0, 100.0, 0.0, 0.0, 0.0])
+    setting = np.array([1.0, 0.0, 0.0, 0.0, 3.0, 1.0, 0.0, 100.0, 100.0, 100.0, 0.0, 0.0, 0.0, 0.0])
     terminal = 100.0 * np.abs(np.arange(-2.0, 3.0))[None, :].repeat(2, axis=0)
     small = Small(row, np.zeros((3, 2)), stage, cylinder, setting, terminal, "cp")
     # From 2 m/s the deceleration of 1 m/s^2 takes both stages: 3 (2 + 1) J. From 1 m/s one: 3 J, then at rest.

@@ -18,9 +18,10 @@ from leanboom.io.loading import load_task
 from leanboom.methods import pseudo_inverse
 from leanboom.model import crane as cranes
 from leanboom.model import motion
-from leanboom.model.task import Lines, Task
+from leanboom.model.task import Limits, Lines, Task
 from leanboom.problem import stages, starts
 
+LIMITED = 21.0 / 6e4  # [m^3/s]
 TASKS = {
     "vertical": replace(load_task("forwarder-vertical"), start="middle"),
     "slewing": replace(load_task("forwarder-half-cycle"), start="middle"),
@@ -28,6 +29,11 @@ TASKS = {
         load_task("loader-triangle-small"), start="middle", path=Lines(((2.6, 0.0, 0.5), (3.2, 0.0, 1.1667)), (6.0,))
     ),
 }
+TASKS["limited"] = replace(  # below what its best motion takes, above what any does
+    TASKS["slewing"],
+    machine=replace(TASKS["slewing"].machine, pump=replace(TASKS["slewing"].machine.pump, max_flow=LIMITED)),
+    limits=Limits(pump_flow=True),
+)
 LEVELS = (10e6, 20e6)  # [Pa]
 MAP = EfficiencyMap(30.0, (30.0,), (10e-6, 40e-6), LEVELS, (((0.7, 0.74), (0.84, 0.87)),))
 TASKS["mapped"] = replace(

@@ -126,9 +126,9 @@ def kernel(state: State, cost: str) -> dict[str, Any]:
     cylinder = stage_arrays.cylinder_table(problem, cost)
     node = stage_arrays.coefficients(problem, np.full((problem.stages + 1, 1), state.c))[k, 0]
     row, at = bellman.empty_row(1, node.shape[0], 2), (0.0, np.array([state.w]), k, stage, cylinder)
-    bellman.limit_controls(node, *at, stage_arrays.setting(problem, cost, (0.0, 0.0, 1.0, 0.0)), row)
+    bellman.limit_controls(node, *at, stage_arrays.setting(problem, cost, (0.0, 0.0, 1.0, 0.0, 0.0)), row)
     low, high, base = (float(row.state[name, 0]) for name in (bellman.LOW, bellman.HIGH, bellman.OFFSET))
-    setting, ahead = stage_arrays.setting(problem, cost, (0.0, 0.0, 0.0, 0.0)), np.zeros((3, 3))
+    setting, ahead = stage_arrays.setting(problem, cost, (0.0,) * 5), np.zeros((3, 3))
     value, used = best_of_one(node, 0.0, state.c, state.w, k, stage, cylinder, setting, ahead)
     found = {"excess": base - problem.step * stage[k, layout.FIXED_COST]}
     found |= {"window": np.array([low, high])} if low < high else {}  # none is told as its middle
@@ -140,7 +140,7 @@ def fixed_mode(state: State, cost: str) -> dict[str, Any]:
     problem, k, polisher = state.problem, state.k, polishers(state.problem, cost)
     switches = modes.modes(polisher, state.seed)
     mode = modes._mode_parameters(polisher, switches)
-    program = modes._program(polisher, state.seed, switches, mode, False, (1.0, 1.0))
+    program = modes._program(polisher, state.seed, switches, mode, False, (1.0,) * 3)
     n = mode.shape[-1]
     point, value = derivatives.empty_point(problem.stages, n), derivatives.empty_limits(problem.stages, n)
     point.state[:, 0], point.state[:, 1] = state.seed.position, state.seed.velocity
@@ -149,7 +149,7 @@ def fixed_mode(state: State, cost: str) -> dict[str, Any]:
     derivatives.jets(program, point.state[:, 0].copy(), jet)
     derivatives.evaluate(program, point, jet, moved, value)
     g, node = value.end[k, 0], value.node[k]
-    point.local[k, 0, 1:] = np.maximum(-g[3 * n + 1 :: 2], -g[3 * n + 2 :: 2])
+    point.local[k, 0, 1:] = np.maximum(-g[3 * n + 1 : 5 * n + 1 : 2], -g[3 * n + 2 : 5 * n + 1 : 2])
     point.local[k, 0, 0] = max(-g[3 * n], *np.where(mode[0, k, derivatives.ALPHA] > 0.0, -g[2 * n : 3 * n], 0.0))
     derivatives.move(program, k, 0, point, jet, moved)
     rate = derivatives.rate(program, k, 0, point, moved) / derivatives.MILLI
@@ -177,7 +177,7 @@ def cell(state: State, cost: str) -> dict[str, Any]:
         np.array([[state.w - tiny, state.w + tiny]]), bounds, np.array([w - tiny, 2.0 * tiny, 0.0]),
         np.array([ahead - 1e-3, ahead + 1e-3]), np.array([[w - tiny, w + tiny]]), bounds,
         partition._fixed(problem, cost)[k], stage_arrays.cylinder_table(problem, cost),
-        stage_arrays.setting(problem, cost, (0.0, 0.0, 0.0, 0.0), share=1.0),
+        stage_arrays.setting(problem, cost, (0.0,) * 5, share=1.0),
     )  # fmt: skip
     planes, found = np.zeros((1, 1, 4)), np.zeros((1, 1))
     bellman_bounds.backward(stage, 0, 1, True, np.zeros((1, 1)), planes, planes, found, np.zeros((0, 0)))

@@ -212,7 +212,7 @@ def test_every_user_of_the_power_counts_the_same():
 @pytest.mark.parametrize("cost", COSTS)
 def test_kernels_are_told_the_losses_and_penalties_know_their_size(cost):
     problem = stages.discretise(SHORT, 0.5)
-    setting = stage_arrays.setting(problem, cost, (0.0, 0.0, 0.0, 0.0))
+    setting = stage_arrays.setting(problem, cost, (0.0,) * 5)
     columns = [layout.EFFICIENCY, layout.IDLE, layout.LEAK, layout.DRAG]
     pumped = cost in ("ls", "cp", "recuperation")
     np.testing.assert_allclose(setting[columns], PUMP if pumped else (1.0, 0.0, 0.0, 0.0), rtol=1e-9)

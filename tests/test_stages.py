@@ -408,21 +408,18 @@ def test_cylinder_table_holds_drives_and_limits_of_the_moving_cylinders():
         ]
         assert (row[layout.V_MAX], row[layout.A_MAX]) == (c.velocity_limit, c.acceleration_limit)
         assert row[layout.SQUARE] == 0.0
+        assert row[[layout.FLOW_OUT, layout.FLOW_IN]].tolist() == [d.area_out, d.area_in]
     assert table[:, layout.SHARPNESS].tolist() == [2000.0, 2000.0, 4000.0]
 
 
 @pytest.mark.parametrize("cost", COSTS)
 def test_settings_are_the_machine_and_the_slopes(cost):
-    setting = stage_arrays.setting(PROBLEMS["forwarder-vertical"], cost, (1.0, 2.0, 3.0, 4.0))
+    setting = stage_arrays.setting(PROBLEMS["forwarder-vertical"], cost, (1.0, 2.0, 3.0, 4.0, 5.0))
     assert setting.shape == (layout.SETTINGS,)
     assert setting[layout.STEP] == 0.25
     assert setting[[layout.SENSING, layout.WORK]].tolist() == [cost == "ls", cost == "actuator"]
     supply = {"ls": 3e6, "cp": 20e6, "recuperation": 20e6}.get(cost, 0.0)
     assert setting[[layout.SUPPLY, layout.EFFICIENCY]].tolist() == [supply, 1.0]
-    assert setting[[layout.SLOPE_C, layout.SLOPE_W, layout.SLOPE_V, layout.SLOPE_A]].tolist() == [
-        1.0,
-        2.0,
-        3.0,
-        4.0,
-    ]
+    slopes = [layout.SLOPE_C, layout.SLOPE_W, layout.SLOPE_V, layout.SLOPE_A, layout.SLOPE_F]
+    assert setting[slopes].tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
     assert 0.9 * 0.002 < setting[layout.EPSILON] < 0.002  # planned to hold well inside the judge's threshold

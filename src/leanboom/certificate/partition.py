@@ -127,7 +127,7 @@ def made_of(
     lattice[:n, L_DW] = 2.0 * limit / velocities
     lattice[:n, L_J] = corner
     cylinder = stage_arrays.cylinder_table(problem, cost)
-    setting = stage_arrays.setting(problem, cost, (0.0, 0.0, 0.0, 0.0), share=1.0)
+    setting = stage_arrays.setting(problem, cost, (0.0, 0.0, 0.0, 0.0, 0.0), share=1.0)
     model = position_rows.enclosures(problem, rows[:n])
     columns = [np.tile([-limit, limit], (edges.size - 1, 1)) for edges in rows]
     edges = [np.zeros((stage.shape[0], count + 1)) for stage, count in zip(model, counts, strict=True)]

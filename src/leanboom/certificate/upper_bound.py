@@ -19,6 +19,7 @@ from leanboom.fixed_mode.modes import Polisher
 from leanboom.model import cost_rates
 from leanboom.model import crane as cranes
 from leanboom.model.motion import Motion
+from leanboom.model.pump_flow import pump_flow
 from leanboom.problem import feasible_strokes, stage_arrays, starts
 from leanboom.problem.stages import Problem
 
@@ -63,6 +64,7 @@ def measure(problem: Problem, candidate: Motion, pump: str) -> Measured:
         cylinder = machine.cylinders[i]
         used = max(used, np.max(np.abs(moving.velocity[i])) / cylinder.velocity_limit / TOLERANCE)
         used = max(used, np.max(np.abs(moving.acceleration[i])) / cylinder.acceleration_limit / TOLERANCE)
+    used = max(used, np.max(pump_flow(crane.drives, moving.velocity)) / problem.task.flow_limit / TOLERANCE)
     return Measured(candidate, problem.step * power, used <= 1.0)
 
 

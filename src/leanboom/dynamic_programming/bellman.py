@@ -51,14 +51,18 @@ from leanboom.problem.layout import (
     FIXED_COST,
     FIXED_FLOW,
     FIXED_PRESSURE,
+    FLOW_IN,
+    FLOW_OUT,
     GAIN_IN,
     GAIN_OUT,
     IDLE,
     LEAK,
+    MOST_FLOW,
     SENSING,
     SHARPNESS,
     SLOPE_A,
     SLOPE_C,
+    SLOPE_F,
     SLOPE_V,
     SLOPE_W,
     SQUARE,
@@ -190,11 +194,27 @@ def limit_controls(node, outside, w, k, stage, cylinder, setting, row):
         else:
             for j in range(w.size):
                 offset[j] += slope_a * max(abs(b0 + w[j] * (b1 + w[j] * b2)) - hardest, 0.0)
+    if setting[SLOPE_F] != 0.0:
+        limit_flow(node, w, k, stage, cylinder, setting, row)
     for j in range(w.size):
         offset[j] += slope_a * max(low[j] - high[j], 0.0)
         middle = 0.5 * (low[j] + high[j])
         empty = low[j] > high[j]
         low[j], high[j] = middle if empty else low[j], middle if empty else high[j]
+
+
+@njit(cache=True, error_model="numpy")
+def limit_flow(node, w, k, stage, cylinder, setting, row):
+    """Add what a pump flow beyond the pump's costs at each velocity node of a row."""
+    offset, flow = row.state[OFFSET], row.state[FLOW]
+    for j in range(w.size):
+        flow[j] = -stage[k, MOST_FLOW]
+    for i in range(node.shape[0]):
+        a0, a1, out, back = node[i, A0], node[i, A1], cylinder[i, FLOW_OUT], cylinder[i, FLOW_IN]
+        for j in range(w.size):
+            flow[j] += cylinder_flow(a0 + a1 * w[j], out, back)
+    for j in range(w.size):
+        offset[j] += setting[SLOPE_F] * max(flow[j], 0.0)
 
 
 @njit(cache=True, error_model="numpy")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leanboom.problem import layout
-from leanboom.problem.stage_arrays import coefficients, cylinder_table, path_determined
+from leanboom.problem.stage_arrays import coefficients, cylinder_table, most_flow, path_determined
 from leanboom.problem.stages import Problem
 
 
@@ -70,6 +70,7 @@ def tables(problem: Problem, grid: Grid, cost: str) -> Tables:
     stage[:, layout.DW] = (grid.w_hi - grid.w_lo) / (grid.velocities - 1)
     flow, pressure, rate = path_determined(problem, cost)
     stage[:, layout.FIXED_FLOW], stage[:, layout.FIXED_PRESSURE], stage[:, layout.FIXED_COST] = flow, pressure, rate
+    stage[:, layout.MOST_FLOW] = most_flow(problem)
     outside, cylinder = _distance_outside(problem, nodes), cylinder_table(problem, cost)
     return Tables(coefficients(problem, nodes), outside, stage, cylinder, grid.velocities)
 

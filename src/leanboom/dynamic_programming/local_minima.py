@@ -34,6 +34,7 @@ _EXCHANGED = (
     (layout.AREA_OUT, layout.AREA_IN),
     (layout.GAIN_OUT, layout.GAIN_IN),
     (layout.BACK_OUT, layout.BACK_IN),
+    (layout.FLOW_OUT, layout.FLOW_IN),
 )
 APART = 0.02  # motions closer than this share of the widest feasible extensions are one local minimum
 FLAT = 0.005  # beyond the best by less than this share of its cost a grid cannot tell which motion is the better one

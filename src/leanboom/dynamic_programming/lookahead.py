@@ -55,7 +55,7 @@ def control(coefficients, outside, stage, cylinder, setting, values, k, share, c
     node = between(flat, k, x, share).reshape((moving, columns))
     off = between(outside.reshape((outside.shape[0], outside.shape[1], 1)), k, x, share)[0]
     now = stage[k : k + 1].copy()
-    for column in (layout.FIXED_FLOW, layout.FIXED_PRESSURE, layout.FIXED_COST):
+    for column in (layout.FIXED_FLOW, layout.FIXED_PRESSURE, layout.FIXED_COST, layout.MOST_FLOW):
         if share > 0.0:
             now[0, column] = (1.0 - share) * stage[k, column] + share * stage[k + 1, column]
     rest = setting.copy()

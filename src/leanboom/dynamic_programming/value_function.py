@@ -45,8 +45,9 @@ from leanboom.quantities import ranges
 from leanboom.quantities.ranges import noted
 
 # Penalty slopes relative to the energy scale: per stroke range [m], per velocity limit (state, cylinders), per
-# acceleration limit. Measured: results change by less than 1 % between a tenth and ten times these.
-SLOPES = (20.0, 1.5, 1.5, 0.2)
+# acceleration limit, per largest flow of the pump. Measured: results change by less than 1 % between a tenth and ten
+# times the first four.
+SLOPES = (20.0, 1.5, 1.5, 0.2, 1.5)
 
 
 RUNAWAY = 100.0  # velocity limits, where a rollout without a way on is cut off: far beyond what is feasible
@@ -150,19 +151,23 @@ class Policy:
         return f"Policy({self.problem.task.name}, {self.cost}: {n - 1} stages x {p} positions x {v} velocities)"
 
 
-def slopes(problem: Problem, cost: str) -> tuple[float, float, float, float]:
-    """Penalties per violated m, m/s of the state, m/s and m/s^2 of a cylinder, in units of the cost."""
+def slopes(problem: Problem, cost: str) -> tuple[float, float, float, float, float]:
+    """Penalties per violated m, m/s of the state, m/s and m/s^2 of a cylinder, m^3/s of the pump, in the cost's unit.
+
+    That of the flow is 0 where it is no limit.
+    """
     scale = energy_scale(problem, cost)
     low, high = feasible_strokes.stroke_range(problem.task)
     cylinders = problem.crane.machine.cylinders[problem.moving]
     fastest = min(c.velocity_limit for c in cylinders)
     hardest = min(c.acceleration_limit for c in cylinders)
-    c, w, v, a = SLOPES
+    c, w, v, a, f = SLOPES
     return (
         scale * c / (high - low),
         scale * w / problem.pace,
         scale * v / fastest,
         scale * a / hardest,
+        scale * f / problem.task.flow_limit,
     )
 
 

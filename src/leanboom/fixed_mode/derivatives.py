@@ -46,7 +46,8 @@ class Limits(NamedTuple):
     """Values, slacks or multipliers of all limits, or a step of one of them."""
 
     node: np.ndarray  # position and velocities from below and above, (stages + 1, 2 + 2 cylinders)
-    end: np.ndarray  # accelerations from below and above, loads, least pressure, flows, (stages, 2, 1 + 5 cylinders)
+    # Accelerations from below and above, loads, least pressure, flows, the pump's flow, (stages, 2, 2 + 5 cylinders).
+    end: np.ndarray
     every: np.ndarray  # both in one row: the others are views of it
 
 
@@ -65,13 +66,13 @@ def limits(every, stages, cylinders):
     size = 2 + 2 * cylinders
     nodes = (stages + 1) * size
     node = every[:nodes].reshape((stages + 1, size))
-    return Limits(node, every[nodes:].reshape((stages, 2, 1 + 5 * cylinders)), every)
+    return Limits(node, every[nodes:].reshape((stages, 2, 2 + 5 * cylinders)), every)
 
 
 @njit(cache=True, error_model="numpy")
 def empty_limits(stages, cylinders):
     """Uninitialised `Limits`."""
-    return limits(np.zeros((stages + 1) * (2 + 2 * cylinders) + stages * 2 * (1 + 5 * cylinders)), stages, cylinders)
+    return limits(np.zeros((stages + 1) * (2 + 2 * cylinders) + stages * 2 * (2 + 5 * cylinders)), stages, cylinders)
 
 
 @njit(cache=True, error_model="numpy")
@@ -101,6 +102,7 @@ class Program(NamedTuple):
     mode: np.ndarray  # (2, stages, 4, cylinders)
     base: np.ndarray  # least demanded pressure, (stages + 1,)
     flow: np.ndarray  # flow of what the path alone moves, (stages + 1,)
+    most: np.ndarray  # flow that the cylinders of the program may take together, (stages + 1,)
     cylinder: np.ndarray  # (5, cylinders)
     pump: np.ndarray  # (5,)
     counts: Limits  # which limits count: others are kept by what is fixed
@@ -227,7 +229,7 @@ def evaluate(program, point, jet, moved, value):
             move(program, k, e, point, jet, moved)
             cost += 0.5 * program.step * rate(program, k, e, point, moved)
             g, p = value.end[k, e], pressure * point.local[k, e, 0]
-            g[3 * n] = p - program.base[k + e]
+            g[3 * n], g[5 * n + 1] = p - program.base[k + e], program.most[k + e]
             for i in range(n):
                 v, a, f, s = moved[i, V, X], moved[i, A, X], moved[i, F, X], point.local[k, e, 1 + i]
                 mode, hardest = program.mode[e, k, :, i], program.cylinder[HARDEST, i]
@@ -235,6 +237,7 @@ def evaluate(program, point, jet, moved, value):
                 g[2 * n + i] = mode[ALPHA] * p - mode[BETA] * f - mode[GAMMA]
                 g[3 * n + 1 + 2 * i] = s - program.cylinder[AREA_OUT, i] * v
                 g[3 * n + 2 + 2 * i] = s + program.cylinder[AREA_IN, i] * v
+                g[5 * n + 1] -= s
     return cost
 
 
@@ -255,7 +258,7 @@ def change_limits(program, point, jet, step, moved, change):
             move(program, k, e, point, jet, moved)
             c, w, u, p = step.state[k + e, C], step.state[k + e, W], step.control[k], pressure * step.local[k, e, 0]
             g = change.end[k, e]
-            g[3 * n] = p
+            g[3 * n], g[5 * n + 1] = p, 0.0
             for i in range(n):
                 v = moved[i, V, DC] * c + moved[i, V, DW] * w
                 a = moved[i, A, DC] * c + moved[i, A, DW] * w + moved[i, A, DU] * u
@@ -264,6 +267,7 @@ def change_limits(program, point, jet, step, moved, change):
                 g[2 * n + i] = program.mode[e, k, ALPHA, i] * p - program.mode[e, k, BETA, i] * f
                 g[3 * n + 1 + 2 * i] = step.local[k, e, 1 + i] - program.cylinder[AREA_OUT, i] * v
                 g[3 * n + 2 + 2 * i] = step.local[k, e, 1 + i] + program.cylinder[AREA_IN, i] * v
+                g[5 * n + 1] -= step.local[k, e, 1 + i]
 
 
 @njit(cache=True, error_model="numpy")
@@ -400,6 +404,14 @@ def assemble_ends(program, point, jet, value, slack, multiplier, barrier, moved,
                     share = bends[i, q]
                     cc, wc = cc + share * moved[i, q, DCC], wc + share * moved[i, q, DCW]
                     ww, uc = ww + share * moved[i, q, DWW], uc + share * moved[i, q, DCU]
+            # The pump's flow: most - sum of s.
+            j = 5 * n + 1
+            if counts[j]:
+                weight, pull = m[j] / t[j], pull_of(g[j], t[j], m[j], barrier)
+                for i in range(n):
+                    vector[S + i] += pull
+                    for other in range(i + 1):
+                        matrix[S + i, S + other] += weight
             vector[C] += at_c
             vector[W] += at_w
             vector[U] += at_u

@@ -2,7 +2,8 @@
 
 The dynamic program decides globally which cylinders extend, retract or rest at every stage, and which support
 their load. With these modes fixed, a cylinder's flow is a variable s >= A v, s >= -B v, and so is the supply, p >=
-every supporting cylinder's demanded pressure; the cost is p x sum(s). No smoothing is left; `interior_point` solves it.
+every supporting cylinder's demanded pressure; the cost is p x sum(s). Where the pump's flow is a limit, sum(s) is at
+most that. No smoothing is left; `interior_point` solves it.
 Modes enter as parameters and bounds only: the problem is built once and solved again
 as modes are read off the answer.
 
@@ -59,8 +60,27 @@ class Polisher:
 
     @property
     def flows(self) -> bool:
-        """Whether pump flow counts."""
-        return self.terms.supply is not Supply.NONE
+        """Whether pump flow counts, in the cost or as a limit."""
+        return self.terms.supply is not Supply.NONE or self.flow_limited
+
+    @property
+    def flow_limited(self) -> bool:
+        """Whether the pump's flow is a limit."""
+        return self.problem.task.limits.pump_flow
+
+    @property
+    def areas(self) -> tuple[np.ndarray, np.ndarray]:
+        """Flows of the moving cylinders per extending and per retracting velocity [m^2], (moving,) each.
+
+        Where the pump's flow is a limit these are its flows, also for a cost that counts others, `recuperation`: the
+        judge compares what comes out.
+        """
+        if self.flow_limited:
+            pairs = [(drive.area_out, drive.area_in) for drive in self.problem.crane.drives]
+        else:
+            pairs = list(zip(self.terms.area_out, self.terms.area_in, strict=True))
+        out, back = np.array(pairs)[self.problem.moving].T
+        return out, back
 
     @property
     def loads(self) -> bool:
@@ -142,7 +162,7 @@ def solve(
     seed: Motion,
     switches: Modes,
     free_start: bool = False,
-    share: tuple[float, float] = (1.0, 1.0),
+    share: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> tuple[Motion | None, str]:
     """Solution of the fixed-mode program from a seed: the polished motion.
 
@@ -153,8 +173,8 @@ def solve(
         seed: Motion on the problem's stages; gives start and first guess.
         switches: The modes.
         free_start: Whether the start may move inside its feasible interval (start kind `best`).
-        share: Parts of the cylinders' velocity and acceleration limits that may be used at the ends of the intervals;
-            less than 1 leaves room for what happens between them.
+        share: Parts of the cylinders' velocity and acceleration limits and of the pump's flow that may be used at the
+            ends of the intervals; less than 1 leaves room for what happens between them.
 
     Returns:
         The polished motion and how the solver ended; no motion where it did not converge.
@@ -179,7 +199,7 @@ def _program(
     switches: Modes,
     mode: np.ndarray,
     free_start: bool,
-    share: tuple[float, float],
+    share: tuple[float, float, float],
 ) -> derivatives.Program:
     """The `Program` for given modes, which bound speeds; limits that cannot change are left out."""
     problem = polisher.problem
@@ -211,27 +231,29 @@ def _program(
     asked = (mode[:, :, derivatives.ALPHA] != 0.0) & polisher.pressures | (mode[:, :, derivatives.BETA] != 0.0)
     counts.end[:, :, 2 * n : 3 * n] = np.moveaxis(asked, 0, 1) & polisher.loads
     counts.end[:, :, 3 * n] = polisher.pressures
-    counts.end[:, :, 3 * n + 1 :] = polisher.flows
+    counts.end[:, :, 3 * n + 1 : 5 * n + 1] = polisher.flows
+    counts.end[:, :, 5 * n + 1] = polisher.flow_limited
     flow, pressure, _ = path_determined(problem, polisher.cost)
     terms = polisher.terms
     constants = [
-        LITRE * np.array(terms.area_out)[problem.moving], LITRE * np.array(terms.area_in)[problem.moving],
+        *(LITRE * area for area in polisher.areas),
         np.array(terms.square)[problem.moving], [c.friction.viscous for c in cylinders],
         [share[1] * c.acceleration_limit for c in cylinders],
     ]  # fmt: skip
     supply, shaft = supply_of(machine.pump, terms.supply)
+    most = LITRE * (stage_arrays.most_flow(problem) - (1.0 - share[2]) * machine.pump.max_flow)
     return derivatives.Program(
         problem.step, polisher.pressures, terms.work, free_start, fixed_end, polisher.coefficients, problem.lower,
         _last(problem), polisher.coulomb, np.array(feasible_strokes.stroke_range(problem.task)), low, high, mode,
-        pressure * MEGA, flow * LITRE, np.array(constants), np.array([MEGA * supply, *shaft.in_kilowatts()]), counts,
+        pressure * MEGA, flow * LITRE, most, np.array(constants), np.array([MEGA * supply, *shaft.in_kilowatts()]),
+        counts,
     )  # fmt: skip
 
 
 def _guess(polisher: Polisher, seed: Motion, switches: Modes, mode: np.ndarray) -> derivatives.Point:
     """First guess: the seed with its own supply pressure and flows."""
     problem = polisher.problem
-    terms = polisher.terms
-    areas = list(zip(terms.area_out, terms.area_in, strict=True))[problem.moving]
+    areas = list(zip(*polisher.areas, strict=True))
     point = derivatives.empty_point(problem.stages, len(areas))
     point.state[:, 0], point.state[:, 1], point.control[:] = seed.position, seed.velocity, seed.acceleration
     v = _speeds(problem, seed)
@@ -281,6 +303,6 @@ def prepare() -> None:
     table = np.zeros((count + 1, POSITIONS, n, layout.COEFFICIENTS))
     stated = derivatives.Program(
         1.0, False, False, False, False, table, node, node + 1.0, np.zeros((n, 2)), np.arange(2.0), limit, limit,
-        np.zeros((2, count, 4, n)), node, node, np.zeros((5, n)), pump, counts,
+        np.zeros((2, count, 4, n)), node, node, node, np.zeros((5, n)), pump, counts,
     )  # fmt: skip
     interior_point.minimise(stated, derivatives.empty_point(count, n), 1.0, 1.0, 0)

@@ -356,7 +356,8 @@ class Search:
     def repair(self, polisher: Polisher, judged: Evaluation, switches: Modes, free: bool) -> Evaluation:
         """Polish again with limits tightened by what a polished motion broke between the ends of its intervals."""
         use = judged.limit_use
-        share = min(1.0, ROOM / use.velocity), min(1.0, ROOM / use.acceleration)
+        flow = min(1.0, ROOM / use.flow) if use.flow_limited else 1.0
+        share = min(1.0, ROOM / use.velocity), min(1.0, ROOM / use.acceleration), flow
         answer, text = modes.solve(polisher, judged.motion, switches, free, share)
         if answer is None:
             return judged

@@ -14,6 +14,7 @@ from leanboom.components.costs import Supply
 from leanboom.formulas import hydraulics
 from leanboom.model import crane as cranes
 from leanboom.model.cost_rates import demanded_pressure, supply_of, terms_of
+from leanboom.model.pump_flow import base_flow
 from leanboom.problem import layout
 from leanboom.problem.stages import Problem
 
@@ -77,7 +78,8 @@ def cylinder_table(problem: Problem, cost: str) -> np.ndarray:
     terms = terms_of(crane, cost)
     rows = [
         [terms.area_out[i], terms.area_in[i], d.gain_out, d.back_out, d.gain_in, d.back_in, k,
-         cylinder.friction.viscous, cylinder.velocity_limit, cylinder.acceleration_limit, terms.square[i]]
+         cylinder.friction.viscous, cylinder.velocity_limit, cylinder.acceleration_limit, terms.square[i],
+         d.area_out, d.area_in]
         for i, (cylinder, d, k) in enumerate(
             zip(crane.machine.cylinders, crane.drives, cranes.sharpness(crane), strict=True)
         )
@@ -90,13 +92,27 @@ def threshold(problem: Problem, share: float = AT_REST) -> float:
     return share * problem.crane.machine.driven_velocity
 
 
+def most_flow(problem: Problem) -> np.ndarray:
+    """What the pump gives at most, less what the path alone takes, at every stage [m^3/s], (stages + 1,)."""
+    machine = problem.crane.machine
+    return machine.pump.max_flow - base_flow(machine, problem.plane)
+
+
 def setting(
-    problem: Problem, cost: str, slopes: tuple[float, float, float, float], share: float = AT_REST
+    problem: Problem, cost: str, slopes: tuple[float, float, float, float, float], share: float = AT_REST
 ) -> np.ndarray:
-    """The kernels' scalars; slopes are the penalties per violated m, m/s (state), m/s and m/s^2 (cylinders)."""
+    """The kernels' scalars.
+
+    Args:
+        problem: The discretised task.
+        cost: A name of `costs.COSTS`.
+        slopes: Penalties per violated m, m/s (state), m/s and m/s^2 (cylinders), m^3/s (pump flow).
+        share: Share of the threshold `driven_velocity` up to which a cylinder is at rest.
+    """
     machine, terms = problem.crane.machine, terms_of(problem.crane, cost)
     supply, (efficiency, *losses) = supply_of(machine.pump, terms.supply)
+    *state, flow = slopes
     return np.array(
         [problem.step, terms.supply is Supply.LOAD_SENSING, terms.work, threshold(problem, share), supply,
-         efficiency, *slopes, *losses]
+         efficiency, *state, *losses, flow]
     )  # fmt: skip
