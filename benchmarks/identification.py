@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from leanboom.simulation.controllers import DeadZoneInverse, Rig, Sample
 
 ANGLE, LENGTH, PRESSURE, VOLUME = np.radians(0.0072), 160e-6, 25e3, 5e-6  # steps of the sensors: rad, m, Pa, m^3
 STEP_HELD = 1.2  # [s], of a constant command
-RATES = np.array([0.031, 0.05, 0.083, 0.037]), np.array([0.09, 0.17, 0.21, 0.11])  # [Hz]
+RATES = np.array([[0.031, 0.05, 0.083, 0.037], [0.09, 0.17, 0.21, 0.11]])  # [Hz]
 MIDDLE = np.array([0.0, 0.35, -1.4, 1.8])
 REACH = np.array([0.8, 0.5, 0.9, 1.6])
 HANDOVER, MOMENT = 8.0, 1e-3  # [s]
@@ -36,6 +36,7 @@ class Waves(DeadZoneInverse):
     """Drives all joints along sums of two sines, then with commands held constant, each cylinder by itself."""
 
     tracking = 60.0  # [s]
+    seed = 7  # of the held commands; every seed but this one shifts the waves as well
 
     def __init__(self, rig: Rig):
         super().__init__(rig)
@@ -46,7 +47,8 @@ class Waves(DeadZoneInverse):
         self._shortest = np.array([min(self._length(i, q) for q in pair) for i, pair in enumerate(ends)])
         self._base = machine.geometry.slewing
         self._zone = machine.circuit.dead_zone
-        self._rng = np.random.default_rng(7)
+        self._rng = np.random.default_rng(self.seed)
+        self._phase = 0.0 if self.seed == Waves.seed else self._rng.uniform(0.0, 2.0 * np.pi, (2, 1, len(ends)))
         self._held = np.zeros(len(ends))
         self._until = self.tracking + np.arange(len(ends)) * STEP_HELD / len(ends)
         self._course = self._lengths(np.arange(0.0, self.tracking + 2.0 * MOMENT, MOMENT))
@@ -57,7 +59,7 @@ class Waves(DeadZoneInverse):
     def _lengths(self, times: np.ndarray) -> np.ndarray:
         """Of the cylinders on their waves, beyond the shortest, (times, cylinders)."""
         share = np.minimum(times / HANDOVER, 1.0)[:, None]
-        slow, fast = (np.sin(2 * np.pi * rate * times[:, None]) for rate in RATES)
+        slow, fast = np.sin(2.0 * np.pi * RATES[:, None] * times[:, None] + self._phase)
         q = (1.0 - share) * self._start + share * (MIDDLE + REACH * (0.8 * slow + 0.2 * fast))
         pairs = zip(self._cylinders, q.T, strict=True)
         return np.stack([each.linkage.length_arm_slope(along)[0] for each, along in pairs], axis=1) - self._shortest
@@ -89,17 +91,18 @@ class Waves(DeadZoneInverse):
         return self._held.copy()
 
 
-def drive(machine: Machine, seconds: float, tracking: float = 60.0) -> dict[str, np.ndarray]:
+def drive(machine: Machine, seconds: float, tracking: float = 60.0, seed: int = Waves.seed) -> dict[str, np.ndarray]:
     """The columns of a simulated run through the test motions.
 
     Args:
         machine: The true machine, four joints.
         seconds: How long.
         tracking: For how long of it joints follow sines, before commands are held.
+        seed: Of the motion.
     """
     task = Task("test-motions", machine, Lines(((5.0, 0.0, 2.0), (5.0, 0.0, 2.1)), (seconds,)), start="middle")
     motion = lb.plan(task, method="sns-actuator", step=0.5)  # of no account: the controller goes its own way
-    chosen = type("Chosen", (Waves,), {"tracking": tracking})
+    chosen = type("Chosen", (Waves,), {"tracking": tracking, "seed": seed})
     return columns(lb.simulate(task, motion, controller=chosen, tolerance=1e-5))
 
 
@@ -225,7 +228,7 @@ def errors(
 
 def coverage(
     machine: Machine,
-    run: Mapping[str, np.ndarray],
+    runs: Sequence[Mapping[str, np.ndarray]],
     folder: Path,
     repetitions: int,
     commanded: tuple[str, ...] | None = None,
@@ -234,7 +237,7 @@ def coverage(
 
     Args:
         machine: The true machine.
-        run: Columns of the run.
+        runs: Columns of runs, used in turn.
         folder: For logs.
         repetitions: How many.
         commanded: Joints whose commands are logged; None: all.
@@ -242,7 +245,7 @@ def coverage(
     truth, draft = truth_of(machine), draft_of(machine)
     counts: dict[str, tuple[int, int]] = {}
     for seed in range(repetitions):
-        log = write_log(folder / "log.csv", measured(run, machine.names, 1000 + seed, commanded))
+        log = write_log(folder / "log.csv", measured(runs[seed % len(runs)], machine.names, 1000 + seed, commanded))
         for name, _, _, _, covers in errors(identify([log], draft), truth):
             if covers is not None:
                 hit, of = counts.get(name, (0, 0))
@@ -276,6 +279,7 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repetitions", type=int, default=200)
+    parser.add_argument("--motions", type=int, default=5, help="different motions among the repetitions")
     parser.add_argument("--seconds", type=float, default=120.0)
     parser.add_argument("--long", action="store_true", help="also a log of ten minutes")
     parser.add_argument("--plans", action="store_true", help="also plans with draft and identified machine")
@@ -304,7 +308,8 @@ def main() -> None:
             identify([log], draft_of(machine))
             print(f"600 s at 500 Hz read and identified in {time.perf_counter() - began:.1f} s")
         if options.repetitions:
-            counts = coverage(machine, run, folder, options.repetitions)
+            others = [drive(machine, options.seconds, 0.5 * options.seconds, seed) for seed in range(options.motions)]
+            counts = coverage(machine, others, folder, options.repetitions)
             for key, (hit, of) in counts.items():
                 print(f"{key:42s} {hit:4d} of {of:4d} intervals cover the truth: {100 * hit / of:.1f} %")
             hits, total = (sum(pair[i] for pair in counts.values()) for i in (0, 1))

@@ -94,7 +94,9 @@ def test_gravity_and_friction_are_those_of_the_true_crane(found, truth):
 def test_valve_delay_and_dead_zone_are_found(found, truth):
     values = {each.name: each.value for each in found.estimates}
     assert values["simulation.dead_zone"] == pytest.approx(truth.circuit.dead_zone, rel=0.02)
-    assert abs(values["simulation.delay"] - truth.circuit.delay) < 0.025
+    assert abs(values["simulation.delay"] - truth.circuit.delay) < 0.003
+    assert values["simulation.spool_bandwidth"] == pytest.approx(truth.circuit.spool_bandwidth, rel=0.05)
+    assert values["simulation.pump_time_constant"] == pytest.approx(truth.circuit.pump_time_constant, rel=0.05)
     assert values["simulation.edge_flow"] == pytest.approx(truth.circuit.edge_flow, rel=0.05)
     assert values["pump.ls_margin"] == pytest.approx(truth.pump.ls_margin, rel=0.05)
     # Not spoiled by a load that drives its cylinder: then the chamber that fills is empty.
@@ -102,6 +104,23 @@ def test_valve_delay_and_dead_zone_are_found(found, truth):
     assert values["valve.retract_coefficient"] == pytest.approx(truth.valve.retract_coefficient, rel=0.05)
     table = found.feed_forward["lift"]
     assert (np.diff(table[:, 0]) >= 0.0).all() and (np.diff(table[:, 1]) > 0.0).all()
+
+
+def test_effective_areas_are_those_of_the_drawing_where_loads_drive_other_cylinders_too(found, truth):
+    """What a driving load lets the tilt draw from the return line spoiled the extension's areas by a fifth."""
+    told = [row for row in known.errors(found, known.truth_of(truth)) if ".area_" in row[0] and row[3] is not None]
+    assert len(told) >= 4
+    for name, value, true, half, _ in told:
+        assert value == pytest.approx(true, rel=0.02, abs=5e-5), name
+        assert half < 5e-4
+    assert any(each.name.startswith("anti_cavitation.tilt") for each in found.estimates)
+
+
+def test_intervals_cover_the_truth(found, truth):
+    """Of one log; over many, the benchmark."""
+    hits = [covers for *_, covers in known.errors(found, known.truth_of(truth)) if covers is not None]
+    assert len(hits) > 35
+    assert sum(hits) >= 0.9 * len(hits)
 
 
 def test_single_masses_are_not_told_but_their_sums_are(found):
@@ -138,13 +157,6 @@ def test_json_has_the_promised_keys_and_only_finite_numbers(found):
 
 
 @pytest.mark.slow
-def test_intervals_of_gravity_cover_the_truth_in_most_repetitions(truth, run, tmp_path):
-    """A small part of the benchmark: two other noises, and nothing of valves."""
-    counts = known.coverage(truth, {name: values[::4] for name, values in run.items()}, tmp_path, 2, ())
-    gravity = [pair for name, pair in counts.items() if name.startswith(("gravity", "inertia"))]
-    assert sum(hit for hit, _ in gravity) >= 0.75 * sum(of for _, of in gravity)
-
-
 def test_a_missing_column_of_the_map_is_named(slow, draft, tmp_path):
     named = {"lift_position": {"column": "z9", "unit": "deg", "scale": 1.0, "zero": 0.0}}
     assert "column z9 of channel lift_position is missing" in refusal(slow, draft, tmp_path, columns=named)

@@ -14,7 +14,8 @@ import numpy as np
 
 from leanboom.formulas import dynamics
 from leanboom.identification.base_parameters import BASE, Motion, base_map, condition, moment_columns, moments
-from leanboom.identification.estimates import KNOWN, Estimate, Fit, Series, blocks_of, compare, covariance, kept
+from leanboom.identification.estimates import KNOWN, Estimate, Fitted, blocks_of, compare, covariance, kept
+from leanboom.identification.logs.checks import Finding
 from leanboom.identification.logs.conditioning import Data
 from leanboom.model import crane as cranes
 from leanboom.model.crane import Crane
@@ -31,20 +32,6 @@ STEP_TRAVEL = 1.0  # [m], extensions that travel less do not show friction steps
 KNOTS, FINE_KNOTS = 0.1, 0.01  # [m], of the free friction profile, and of the one that stands for steps
 STEP_CHANGE = 1e-3  # [m], for derivatives
 WORTH = 0.97  # steps are kept if they leave less than this share of the extension's residual
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Forces:
-    """What was found of the cylinders' forces."""
-
-    machine: Machine
-    estimates: tuple[Estimate, ...]
-    fits: tuple[Fit, ...]
-    series: dict[str, Series]  # time, measured, model, training
-    rank: int
-    condition: float
-    correlations: tuple[tuple[str, str, float], ...]
-    negative_friction: tuple[str, ...]  # joints whose friction drives them: a sign, or swapped chambers
 
 
 @dataclass(slots=True, eq=False)
@@ -88,7 +75,7 @@ def motion_of(data: Data, machine: Machine, every: int) -> Motion:
     return Motion(tuple(q), tuple(v), tuple(a))
 
 
-def fit(data: Data, machine: Machine) -> Forces | None:
+def fit(data: Data, machine: Machine) -> Fitted | None:
     """Fit bodies and friction to the measured forces; None if no joint has pressures and enough motion.
 
     Args:
@@ -223,7 +210,7 @@ class _Problem:
         self.knots = np.arange(extension.lower, extension.upper + FINE_KNOTS, FINE_KNOTS)
         self.triangles = [self._compressed(i) for i in range(len(rows))]
         self.sigma = np.array([float(np.std(each.force)) or 1.0 for each in rows])
-        self.negative: tuple[str, ...] = ()
+        self.faults: tuple[Finding, ...] = ()
 
     def _level(self, i: int, steps: np.ndarray | None, extension: np.ndarray) -> np.ndarray | float:
         if steps is None or i != self.stepped:
@@ -314,7 +301,16 @@ class _Problem:
             error = float(np.sqrt(spread[-1, -1] * np.mean(residual**2) * RATE))
             if found[-1] < -4.0 * error or better:
                 negative.append(each.joint)
-        self.negative = tuple(negative)
+        self.faults = tuple(
+            Finding(
+                "chambers",
+                f"{joint}_pressure_a",
+                f"{joint}: its cylinder force does not fit its motion, as if friction drove it: chambers "
+                f"{joint}_pressure_a and {joint}_pressure_b are swapped, or {joint}_position has the wrong sign",
+                True,
+            )
+            for joint in negative
+        )
 
     def _minimise(self, x: np.ndarray) -> None:
         from scipy.optimize import least_squares
@@ -383,7 +379,7 @@ class _Problem:
         if np.sum(left**2) > WORTH * np.sum(plain**2):
             self.steps, self.x = None, before
 
-    def result(self) -> Forces:
+    def result(self) -> Fitted:
         """Values, intervals and what the data cannot tell."""
         jacobians, residuals, blocks = [], [], []
         for i, each in enumerate(self.rows):
@@ -410,18 +406,19 @@ class _Problem:
         shared = weights @ variance @ weights.T
         size = np.sqrt(np.maximum(np.diag(shared), 1e-30))
         names = list(BASE)
-        related = tuple(
-            (names[i], names[j], float(shared[i, j] / size[i] / size[j]))
+        remarks = [f"base parameters: rank {rank} of {len(BASE)}, condition number {conditioned:.3g}"]
+        remarks += [
+            f"{names[i]} and {names[j]} are told together (correlation {shared[i, j] / size[i] / size[j]:.2f})"
             for i in range(len(names)) for j in range(i)
             if size[i] > 1e-12 and size[j] > 1e-12 and abs(shared[i, j]) > 0.9 * size[i] * size[j]
-        )  # fmt: skip
+        ]  # fmt: skip
         fits, series = [], {}
         for i, each in enumerate(self.rows):
             model = self._predict(self.x, i)[0]
             name = f"{each.joint}_force"
             fits.append(compare(name, each.force, model, each.training))
             series[name] = (each.time, each.force, model, each.training)
-        return Forces(self._machine(), tuple(estimates), tuple(fits), series, rank, conditioned, related, self.negative)
+        return Fitted(self._machine(), tuple(estimates), tuple(fits), series, tuple(remarks), self.faults)
 
     def _names(self) -> list[str]:
         names = [f"bodies.{b.name}.{key}" for b in self.bodies for key in ("mass", "along", "above", "inertia")]

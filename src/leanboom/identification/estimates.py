@@ -1,8 +1,9 @@
 """Estimates with intervals: least squares whose errors hang together over time.
 
 Residuals of filtered signals, and of a model that is not the machine, are neither independent nor of one size. Their
-covariance is taken from sums over blocks of time (White, Econometrica 48 (1980) 817; Liang and Zeger, Biometrika 73
-(1986) 13), which assumes no more than that blocks are independent of each other.
+covariance is that of a jackknife over blocks of time: how the values change where a block is left out, to first order
+(Bell and McCaffrey, Survey Methodology 28 (2002) 169). It assumes no more than that blocks are independent of each
+other, and is no narrower where few blocks tell a value.
 
 Weak priors at the draft's values keep in place what the data do not tell. A value counts as identifiable if the data
 leave less than a twentieth of its prior variance.
@@ -10,10 +11,13 @@ leave less than a twentieth of its prior variance.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
+
+from leanboom.identification.logs.checks import Finding
+from leanboom.model.machine import Machine
 
 Series = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # time, measured, model, whether used for fitting
 
@@ -65,6 +69,19 @@ class Fit:
     def json(self) -> dict[str, float]:
         """What `--json` says of it."""
         return {"rms": self.rms, "rms_percent": self.rms_percent}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """What a fit found: of linkages, pump, valves, or cylinder forces."""
+
+    machine: Machine  # the draft with what was found
+    estimates: tuple[Estimate, ...]
+    fits: tuple[Fit, ...] = ()
+    series: Mapping[str, Series] = field(default_factory=dict)  # by signal
+    remarks: tuple[str, ...] = ()
+    faults: tuple[Finding, ...] = ()  # of the logs, that the fit showed
+    tables: Mapping[str, np.ndarray] = field(default_factory=dict)  # by joint: velocity [m/s] and command, (points, 2)
 
 
 def kept(value: float) -> float:
@@ -135,16 +152,26 @@ def covariance(
     """
     n = prior.size
     count = 1 + max((int(b.max()) for b in blocks if b.size), default=0)
-    scores = np.zeros((count, n))
-    information = np.zeros((n, n))
+    scores, shares = np.zeros((count, n)), np.zeros((count, n, n))
     for jacobian, residual, block in zip(jacobians, residuals, blocks, strict=True):
         np.add.at(scores, block, jacobian * residual[:, None])
-        information += jacobian.T @ jacobian
-    used = np.any(scores != 0.0, axis=1)
-    total = int(used.sum())
-    bread = np.linalg.pinv(information + np.diag(prior), hermitian=True)
-    meat = scores.T @ scores * (total / max(total - 1, 1))
-    return bread @ meat @ bread, bread, interval_factor(total - n)
+        for each in np.unique(block):
+            rows = jacobian[block == each]
+            shares[each] += rows.T @ rows
+    used = np.flatnonzero(np.any(scores != 0.0, axis=1))
+    whole = shares.sum(axis=0) + np.diag(prior)
+    changes = np.stack([np.linalg.pinv(whole - shares[k], hermitian=True) @ scores[k] for k in used])
+    variance = changes.T @ changes * ((used.size - 1) / max(used.size, 1))
+    return variance, np.linalg.pinv(whole, hermitian=True), interval_factor(used.size - n)
+
+
+def robust(residual: np.ndarray) -> np.ndarray:
+    """Residuals to go with the derivatives that `least_squares` gives for its loss `soft_l1`: products are scores.
+
+    Args:
+        residual: In units of the loss's scale, (rows,).
+    """
+    return residual * (1.0 + residual**2) ** 0.25
 
 
 def interval_factor(freedom: int) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from leanboom.components.linkages import Linkage, Polynomial
 from leanboom.errors import InputError
 from leanboom.identification.cylinder_forces import LEAST_TRAVEL
-from leanboom.identification.estimates import KNOWN, Estimate, Fit, Series, blocks_of, compare, covariance, kept
+from leanboom.identification.estimates import KNOWN, Estimate, Fitted, blocks_of, compare, covariance, kept
 from leanboom.identification.logs.conditioning import Data
 from leanboom.model.machine import Machine
 from leanboom.quantities.declarations import declared
@@ -19,17 +19,7 @@ RATE = 20.0  # [Hz], of the rows
 PRIOR = 0.1  # share of a length, or [rad] of an angle, by which a drawing may be wrong
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Geometry:
-    """What was found of the linkages."""
-
-    machine: Machine
-    estimates: tuple[Estimate, ...]
-    fits: tuple[Fit, ...]
-    series: dict[str, Series]
-
-
-def fit(data: Data, machine: Machine) -> Geometry | None:
+def fit(data: Data, machine: Machine) -> Fitted | None:
     """Fit the linkages of all joints whose angle and cylinder length are logged; None if there is none.
 
     Args:
@@ -58,7 +48,7 @@ def fit(data: Data, machine: Machine) -> Geometry | None:
         cylinders[i] = replace(cylinder, linkage=linkage, stroke=abs(ends[1] - ends[0]))
     if not fits:
         return None
-    return Geometry(replace(machine, cylinders=tuple(cylinders)), tuple(estimates), tuple(fits), series)
+    return Fitted(replace(machine, cylinders=tuple(cylinders)), tuple(estimates), tuple(fits), series)
 
 
 def _solve(

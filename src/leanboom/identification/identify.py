@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from leanboom.errors import InputError
-from leanboom.identification import base_parameters, cylinder_forces, geometry_fit, pump_fit, valve_fit
-from leanboom.identification.estimates import Estimate, Fit, Series
+from leanboom.identification import cylinder_forces, geometry_fit, pump_fit, supply_fit, valve_fit
+from leanboom.identification.estimates import Estimate, Fit, Fitted, Series
 from leanboom.identification.logs import conditioning
 from leanboom.identification.logs.checks import Finding, check, refuse
 from leanboom.identification.logs.conditioning import Data
@@ -93,24 +93,16 @@ def identify(
         raise InputError(
             f"nothing can be fitted: positions, pressures or commands are missing or stand still, such as {needed}"
         )
-    said = [*data.said, *_missing(data, draft)]
-    for each in results:
-        said += getattr(each, "remarks", ())
-        if isinstance(each, cylinder_forces.Forces):
-            said.append(
-                f"base parameters: rank {each.rank} of {len(base_parameters.BASE)}, "
-                f"condition number {each.condition:.3g}"
-            )
-            said += [f"{a} and {b} are told together (correlation {r:.2f})" for a, b, r in each.correlations]
+    said = [*data.said, *_missing(data, draft), *(remark for each in results for remark in each.remarks)]
     estimates = tuple(estimate for each in results for estimate in each.estimates)
     untold = {each.name for each in estimates if not each.identifiable}
     day = date or datetime.now(UTC).date().isoformat()
-    tables = next((each.feed_forward for each in results if isinstance(each, valve_fit.Valves)), {})
     return Identification(
         draft=draft, machine=_marked(machine, draft, logs, day, untold), logs=tuple(logs), estimates=estimates,
         fits=tuple(fit for each in results for fit in each.fits),
         series={name: values for each in results for name, values in each.series.items()},
-        feed_forward=tables, findings=tuple(findings), said=tuple(said), date=day, wall_s=clock.perf_counter() - began,
+        feed_forward={joint: table for each in results for joint, table in each.tables.items()},
+        findings=tuple(findings), said=tuple(said), date=day, wall_s=clock.perf_counter() - began,
     )  # fmt: skip
 
 
@@ -121,32 +113,22 @@ def _one_thread():
     return threadpool_limits(1)
 
 
-def _fits(data: Data, draft: Machine, findings: list[Finding], tell: Progress) -> tuple[Machine, list[Any]]:
+def _fits(data: Data, draft: Machine, findings: list[Finding], tell: Progress) -> tuple[Machine, list[Fitted]]:
     """The machine after all fits, and their results; a fit builds on what the one before found."""
     machine, results = draft, []
     kinds = (
         ("linkages", geometry_fit.fit),
-        ("pump", pump_fit.fit),
+        ("pump flow", pump_fit.fit),
         ("valves", valve_fit.fit),
         ("cylinder forces", cylinder_forces.fit),
+        ("supply pressure", supply_fit.fit),
     )
     for i, (what, fit) in enumerate(kinds):
-        tell(f"fitting {what}", 0.2 + 0.2 * i)
+        tell(f"fitting {what}", 0.2 + 0.15 * i)
         found = fit(data, machine)
         if found is None:
             continue
-        for joint in getattr(found, "wrong_way", ()):
-            text = (
-                f"{joint}_position falls while {joint}_command is above 0: one of the two has the wrong sign; "
-                "give it scale: -1 in the column map"
-            )
-            findings.append(Finding("sign", f"{joint}_position", text, True))
-        for joint in getattr(found, "negative_friction", ()):
-            text = (
-                f"{joint}: its cylinder force does not fit its motion, as if friction drove it: chambers "
-                f"{joint}_pressure_a and {joint}_pressure_b are swapped, or {joint}_position has the wrong sign"
-            )
-            findings.append(Finding("chambers", f"{joint}_pressure_a", text, True))
+        findings += found.faults
         refuse(findings)
         machine = found.machine
         results.append(found)

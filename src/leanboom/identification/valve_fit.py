@@ -9,7 +9,7 @@ open throttle, velocity also grows with the root of its pressure.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,17 +18,18 @@ from leanboom.formulas import fluid
 from leanboom.identification.cylinder_forces import TRAINING, cylinder_motion, measured_force
 from leanboom.identification.estimates import (
     Estimate,
-    Fit,
-    Series,
+    Fitted,
     beginnings,
     blocks_of,
     compare,
     covariance,
     interval_factor,
     kept,
+    robust,
 )
+from leanboom.identification.logs.checks import Finding
 from leanboom.identification.logs.conditioning import Data
-from leanboom.identification.pump_fit import pressed
+from leanboom.identification.pump_fit import empties, pressed
 from leanboom.model.machine import Machine
 from leanboom.simulation.valve_sections import second_order
 
@@ -42,19 +43,7 @@ SPEEDS = 21  # of a feed-forward table, each way
 MOST_ROWS = 60_000  # of a cylinder
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Valves:
-    """What was found of the valves."""
-
-    machine: Machine
-    estimates: tuple[Estimate, ...]
-    fits: tuple[Fit, ...]
-    series: dict[str, Series]
-    feed_forward: dict[str, np.ndarray]  # by joint: velocity [m/s], command; (points, 2)
-    wrong_way: tuple[str, ...]  # joints that move against their command
-
-
-def fit(data: Data, machine: Machine) -> Valves | None:
+def fit(data: Data, machine: Machine) -> Fitted | None:
     """Fit the valves; None if no joint has a command and enough motion, or they have two spools each.
 
     Args:
@@ -70,12 +59,16 @@ def fit(data: Data, machine: Machine) -> Valves | None:
             continue
         one = _Cylinder(data, machine, i)
         if one.against:
-            wrong.append(name)
+            text = (
+                f"{name}_position falls while {name}_command is above 0: one of the two has the wrong sign; "
+                "give it scale: -1 in the column map"
+            )
+            wrong.append(Finding("sign", f"{name}_position", text, True))
         elif one.enough:
             one.solve()
             found.append(one)
     if wrong:
-        return Valves(machine, (), (), {}, {}, tuple(wrong))
+        return Fitted(machine, (), faults=tuple(wrong))
     if not found:
         return None
     estimates = [e for one in found for e in one.estimates()]
@@ -87,11 +80,34 @@ def fit(data: Data, machine: Machine) -> Valves | None:
     if isinstance(valve, MobileValve):
         names = {name.split(".")[-1]: kept(value) for name, value in told.items()}
         valve = replace(valve, **names)
-    return Valves(
+    return Fitted(
         replace(machine, circuit=circuit, valve=valve), (*shared, *estimates),
         tuple(one.fit for one in found), {one.fit.signal: one.series for one in found},
-        {one.name: one.table() for one in found}, (),
+        tables={one.name: one.table() for one in found},
     )  # fmt: skip
+
+
+def _delayed(data: Data, command: np.ndarray, delay: float) -> np.ndarray:
+    """A command some time later, in each part by itself."""
+    times = np.arange(command.size) / data.rate
+    pairs = zip(data.split(times), data.split(command), strict=True)
+    return np.concatenate([np.interp(time - delay, time, values) for time, values in pairs])
+
+
+def spool_travel(data: Data, command: np.ndarray, delay: float, bandwidth: float) -> np.ndarray:
+    """Travel of a spool after its command, (samples,).
+
+    Args:
+        data: The conditioned logs.
+        command: The command, (samples,).
+        delay: After which the spool begins to follow [s].
+        bandwidth: Of the spool [Hz].
+    """
+    from scipy.signal import lfilter, ss2tf
+
+    advance, drive = second_order(bandwidth, 1.0 / data.rate)
+    above, below = ss2tf(advance, drive[:, None], np.array([[1.0, 0.0]]), np.zeros((1, 1)))
+    return np.concatenate([lfilter(above[0], below, part) for part in data.split(_delayed(data, command, delay))])
 
 
 class _Cylinder:
@@ -99,55 +115,30 @@ class _Cylinder:
 
     def __init__(self, data: Data, machine: Machine, i: int):
         self.data, self.machine, self.i = data, machine, i
-        self.name, cylinder = machine.names[i], machine.cylinders[i]
-        velocity, _ = cylinder_motion(data, machine, i)
-        self.velocity = velocity + _given_up(data, machine, i, velocity)
+        self.name = machine.names[i]
+        self.velocity, _ = cylinder_motion(data, machine, i)
+        self.given_up = _given_up(data, machine, i)
         self.command = data.channels[f"{self.name}_command"]
-        self.root = np.ones(velocity.size)
-        pressure = data.channels.get(f"{self.name}_pressure_a")
-        if cylinder.connection is Connection.SINGLE_ACTING and pressure is not None:
-            back = machine.pump.tank_pressure + machine.circuit.counter_pressure
-            self.root = np.sqrt(np.maximum(pressure - back, 0.0))
-            self.root /= float(np.mean(self.root)) or 1.0
-        self.used = data.inner & data.usable[self.name]
-        supply = data.channels.get("supply")
-        if supply is not None and isinstance(
-            machine.valve, MobileValve
-        ):  # a compensator without its drop does not hold
-            for side, way in (("a", 1.0), ("b", -1.0)):
-                driven = data.channels.get(f"{self.name}_pressure_{side}")
-                if driven is not None and not (way < 0.0 and cylinder.connection is Connection.SINGLE_ACTING):
-                    short = supply - driven < machine.valve.compensator_drop
-                    self.used &= ~(short & (way * self.velocity > 0.0))
+        self.shares = _shares(data, machine, i)
+        self.used = data.inner & data.usable[self.name] & ~empties(data, machine, i, self.velocity)
         fast = np.abs(self.velocity) > STEADY_SPEED
         self.way = [
             bool((self.used & (way * self.velocity > STEADY_SPEED)).sum() > 2 * data.rate) for way in (1.0, -1.0)
         ]
         self.enough = any(self.way)
-        late = self._delayed(max(machine.circuit.delay, 0.05))
+        late = _delayed(data, self.command, max(machine.circuit.delay, 0.05))
         sure = fast & (np.abs(late) > 0.3)
         agree = np.mean(late[sure] * self.velocity[sure] > 0.0) if sure.any() else 1.0
         self.against = bool(sure.sum() > 2 * data.rate and agree < 0.3)
         self.training = beginnings(data.part, TRAINING)
 
-    def _delayed(self, delay: float) -> np.ndarray:
-        times = np.arange(self.command.size) / self.data.rate
-        parts = []
-        for time, values in zip(self.data.split(times), self.data.split(self.command), strict=True):
-            parts.append(np.interp(time - delay, time, values))
-        return np.concatenate(parts)
-
     def model(self, x: np.ndarray) -> np.ndarray:
         """Filtered velocity under delay, bandwidth, and gain and dead zone each way."""
-        from scipy.signal import lfilter, ss2tf
-
         delay, bandwidth, out, back, zone_out, zone_back = x
-        advance, drive = second_order(bandwidth, 1.0 / self.data.rate)
-        above, below = ss2tf(advance, drive[:, None], np.array([[1.0, 0.0]]), np.zeros((1, 1)))
-        delayed = self.data.split(self._delayed(delay))
-        travel = np.concatenate([lfilter(above[0], below, part) for part in delayed])
-        speed = out * fluid.opening(travel, zone_out) - back * self.root * fluid.opening(-travel, zone_back)
-        return self.data.low_pass(speed)
+        travel = spool_travel(self.data, self.command, delay, bandwidth)
+        ahead, behind = self.shares
+        speed = out * ahead * fluid.opening(travel, zone_out) - back * behind * fluid.opening(-travel, zone_back)
+        return self.data.low_pass(speed) - np.where(travel > 0.0, *self.given_up)
 
     def solve(self) -> None:
         """Bounded robust least squares."""
@@ -155,7 +146,7 @@ class _Cylinder:
 
         circuit = self.machine.circuit
         moving = np.abs(self.velocity) > STEADY_SPEED
-        late = self._delayed(circuit.delay)
+        late = _delayed(self.data, self.command, circuit.delay)
         zones = []
         for way in (1.0, -1.0):
             sure = moving & (way * self.velocity > 0.0) & (way * late > 0.02)
@@ -199,7 +190,7 @@ class _Cylinder:
         block = blocks_of(self.data.time, self.data.part)[rows]
         jacobian = np.zeros((rows.size, 6))
         jacobian[:, free] = found.jac
-        variance, _, factor = covariance([jacobian], [-residual(self.x)], [block], np.where(free, 0.0, 1.0))
+        variance, _, factor = covariance([jacobian], [-robust(residual(self.x))], [block], np.where(free, 0.0, 1.0))
         self.half = factor * np.sqrt(np.diag(variance))
         model = self.model(self.x)
         keep = self.used
@@ -228,20 +219,43 @@ class _Cylinder:
         return np.concatenate([falling[::-1], rising])
 
 
-def _given_up(data: Data, machine: Machine, i: int, velocity: np.ndarray) -> np.ndarray:
-    """Velocity that the compression of oil takes away from the flow through the valve [m/s], (samples,)."""
+def _shares(data: Data, machine: Machine, i: int) -> tuple[np.ndarray, np.ndarray]:
+    """What pressures leave of the flow of an open edge, out and in, (samples,) each.
+
+    A compensator without its drop lets less through; a load lowers its cylinder through a throttle.
+    """
+    name, cylinder = machine.names[i], machine.cylinders[i]
+    found = [np.ones(data.time.size), np.ones(data.time.size)]
+    supply = data.raw.get("supply")
+    single = cylinder.connection is Connection.SINGLE_ACTING
+    if supply is not None and isinstance(machine.valve, MobileValve) and machine.valve.compensator_drop > 0.0:
+        for way, side in enumerate("a" if single else "ab"):
+            pressure = data.raw.get(f"{name}_pressure_{side}")
+            if pressure is not None:
+                found[way] = np.sqrt(np.clip((supply - pressure) / machine.valve.compensator_drop, 0.0, 1.0))
+    pressure = data.raw.get(f"{name}_pressure_a")
+    if single and pressure is not None:
+        root = np.sqrt(np.maximum(pressure - machine.pump.tank_pressure - machine.circuit.counter_pressure, 0.0))
+        found[1] = root / (float(np.mean(root)) or 1.0)
+    return found[0], found[1]
+
+
+def _given_up(data: Data, machine: Machine, i: int) -> tuple[np.ndarray, np.ndarray]:
+    """Velocity that the compression of oil takes away from the flow of an open edge, out and in [m/s], (samples,)."""
     cylinder, drive = machine.cylinders[i], machine.drives[i]
+    found = [np.zeros(data.time.size), np.zeros(data.time.size)]
     a, b = (pressed(data, machine, i, side) for side in "ab")
     bulk = machine.circuit.bulk_modulus
-    lost = np.zeros(velocity.size)
+    single = cylinder.connection is Connection.SINGLE_ACTING
     if a is not None:
-        lost += np.where(velocity > 0.0, a / (drive.area_out * bulk), 0.0)
-    if cylinder.connection is Connection.SINGLE_ACTING:
-        return lost if a is None else lost + np.where(velocity < 0.0, a / (cylinder.areas[0] * bulk), 0.0)
-    if b is not None:
-        both = cylinder.connection is Connection.DIFFERENTIAL
-        lost += np.where(velocity > 0.0, b / (drive.area_out * bulk) if both else 0.0, -b / (cylinder.areas[1] * bulk))
-    return lost
+        found[0] += a / (drive.area_out * bulk)
+    if a is not None and single:
+        found[1] += a / (cylinder.areas[0] * bulk)
+    if b is not None and not single:
+        found[1] -= b / (cylinder.areas[1] * bulk)
+        if cylinder.connection is Connection.DIFFERENTIAL:
+            found[0] += b / (drive.area_out * bulk)
+    return found[0], found[1]
 
 
 def _circuit(machine: Machine, found: Sequence[_Cylinder]):

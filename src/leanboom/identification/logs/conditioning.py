@@ -33,6 +33,7 @@ class Data:
     part: np.ndarray  # number of the uninterrupted part
     inner: np.ndarray  # away from the ends of its part, where the filter is not trusted
     channels: Mapping[str, np.ndarray]  # filtered; commands as they are
+    raw: Mapping[str, np.ndarray]  # resampled only
     rates: Mapping[str, np.ndarray]  # first derivatives of positions and lengths, and of pump_volume
     accelerations: Mapping[str, np.ndarray]
     usable: Mapping[str, np.ndarray]  # by joint
@@ -94,9 +95,10 @@ def condition(logs: Sequence[Checked], machine: Machine, cutoff: float | None = 
     chosen = cutoff or _cutoff([part[name] for part in parts for name in positions], rate)
     if not 0.1 <= chosen <= 0.4 * rate:
         raise InputError(f"cutoff = {chosen:g} Hz; must be 0.1 to {0.4 * rate:g} Hz at {rate:g} samples a second")
-    channels, rates, accelerations = {}, {}, {}
+    channels, unfiltered, rates, accelerations = {}, {}, {}, {}
     for name in names:
         raw = [part[name] for part in parts]
+        unfiltered[name] = np.concatenate(raw)
         smooth = raw if name.endswith("_command") else [_filter(values, rate, chosen) for values in raw]
         channels[name] = np.concatenate(smooth)
         if name.endswith(("_position", "_cylinder")) or name == "pump_volume":
@@ -121,7 +123,7 @@ def condition(logs: Sequence[Checked], machine: Machine, cutoff: float | None = 
         rate=rate, cutoff=chosen,
         time=np.concatenate([part["time"] for part in parts]),
         part=np.concatenate([np.full(part["time"].size, i) for i, part in enumerate(parts)]),
-        inner=np.concatenate(inner), channels=channels, rates=rates, accelerations=accelerations,
+        inner=np.concatenate(inner), channels=channels, raw=unfiltered, rates=rates, accelerations=accelerations,
         usable={joint: np.concatenate([part[f"usable {joint}"] for part in parts]) > 0.99 for joint in machine.names},
         said=said,
     )  # fmt: skip
