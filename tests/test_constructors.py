@@ -82,7 +82,7 @@ BAD = {
     ),
     "sideways on a machine that does not slew": (
         lambda: replace(TASK, machine=LOADER, path=Lines((A, (5.5, 1.0, 4.0)), (1.0,))),
-        "path.points.1 = (5.5, 1.0, 4.0); y must be 0, since machine loader does not slew",
+        "path.points[1] = (5.5, 1.0, 4.0); y must be 0, since machine loader does not slew",
     ),
     "a boom of no length": (lambda: replace(MACHINE.geometry, boom=0.0), "geometry.boom = 0 m; must be above 0"),
     "a base of nan": (lambda: Geometry(NAN, 0.0, 1.0, 0.0, 1.0, True), "geometry.base_x = nan; must be a finite"),

@@ -72,7 +72,8 @@ def test_the_best_closed_cycle_costs_no_more_than_those_of_given_starts():
     plan = planner.run(free, pump="cp", **QUICK)
     assert plan.solved
     assert plan.motion.position[-1] == pytest.approx(plan.motion.position[0], abs=1e-9)
-    for start in closed_cycle.common_lengths(free, 0.1)[::2]:
+    problem = stages.discretise(free, 0.1)
+    for start in closed_cycle.common_lengths(problem, problem)[::2]:
         given = planner.run(replace(CLOSED, start=float(start)), pump="cp", check=False, **QUICK)
         assert not given.solved or plan.evaluation.energy_cp <= 1.005 * given.evaluation.energy_cp
 

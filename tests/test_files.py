@@ -399,11 +399,15 @@ def test_the_kinds_of_path_are_told_apart():
 def test_the_examples_of_the_documentation_load(tmp_path):
     page = (Path(__file__).parents[1] / "docs/files.md").read_text()
     blocks = page.split("```yaml\n")[1:]
-    machine, task = [text.split("```")[0] for text in blocks if "start: best" in text or "yard" in text.split("```")[0]]
+    machine, cycle, task = [
+        text.split("```")[0] for text in blocks if "start: best" in text or "yard" in text.split("```")[0]
+    ]
     crane = load_machine(written(tmp_path, machine, "yard-crane.yaml"))
     assert (crane.name, crane.pump.efficiency, crane.pump.ls_margin) == ("yard-crane", 0.85, 2e6)
     unload = load_task(written(tmp_path, task, "unload.yaml"))
     assert (unload.machine, unload.start, unload.smooth) == (crane, "best", 5.0)
+    legs = load_task(written(tmp_path, cycle, "cycle.yaml")).legs
+    assert [(leg.payload, leg.dwell) for leg in legs] == [(0.0, 0.0), (250.0, 2.0)]
 
 
 def test_what_a_machine_says_of_the_simulation_counts_and_the_rest_follows_its_valve(tmp_path):

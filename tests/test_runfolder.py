@@ -38,7 +38,7 @@ def test_summary_has_the_agreed_keys_and_types(plan):
     found = summaries.summary(plan, Path("out"))
     assert list(found) == [
         "task", "machine", "pump", "cost", "method", "start_m", "end_m", "status", "duration_s", "energy_j",
-        "energy_ls_j", "energy_cp_j", "limit_use", "path_error_m", "solve_s", "peak_memory_bytes", "out",
+        "energy_ls_j", "energy_cp_j", "legs", "limit_use", "path_error_m", "solve_s", "peak_memory_bytes", "out",
     ]  # fmt: skip
     assert list(found["limit_use"]) == ["position", "velocity", "acceleration", "flow"]
     words = {key: value for key, value in found.items() if isinstance(value, str)}
@@ -46,7 +46,7 @@ def test_summary_has_the_agreed_keys_and_types(plan):
         "task": "forwarder-vertical", "machine": "forwarder", "pump": "ls", "cost": "ls", "method": "dp",
         "status": "solved", "out": "out",
     }  # fmt: skip
-    numbers = [value for key, value in found.items() if key not in (*words, "limit_use", "peak_memory_bytes")]
+    numbers = [value for key, value in found.items() if key not in (*words, "legs", "limit_use", "peak_memory_bytes")]
     assert all(type(value) is float for value in [*numbers, *found["limit_use"].values()])
     assert type(found["peak_memory_bytes"]) is int
     assert found["energy_j"] == found["energy_ls_j"] == plan.evaluation.energy_ls

@@ -26,7 +26,7 @@ from leanboom.fixed_mode import modes
 from leanboom.methods.dp_refined import Search
 from leanboom.methods.registry import GRID, STEP
 from leanboom.model.motion import Motion
-from leanboom.model.task import Task
+from leanboom.model.task import Task, take_single
 from leanboom.problem import stages, starts
 from leanboom.progress import Progress
 from leanboom.quantities.ranges import STAGE, checked, noted, one_of
@@ -106,6 +106,7 @@ def certify(
     """
     tell = progress or (lambda text, share: None)
     check(pump, step, seconds, gap)
+    take_single(task, "a certificate")
     if not provable(task):
         raise InputError("pump.efficiency is a map; a certificate needs a constant efficiency")
     if motion is None:

@@ -85,26 +85,36 @@ def task_facts(task: Task) -> dict[str, Any]:
     Args:
         task: The task.
     """
-    path = written(task)
-    if isinstance(path, Retimed):
-        timing = {"path": "retimed", "times_s": _passed(path)}
-        path = path.path
-    elif isinstance(path, Spline):
-        timing = {"path": "spline", "times_s": list(path.times)}
+    if task.legs:
+        legs = [
+            {"payload_kg": leg.payload, "dwell_s": leg.dwell, **_path_facts(written(task, leg)),
+             "duration": list(leg.duration) if isinstance(leg.duration, tuple) else leg.duration, "timing": leg.timing}
+            for leg in task.legs
+        ]  # fmt: skip
+        moved = {"legs": legs, "total_s": task.total, "time_price_w": task.time_price}
     else:
-        timing = {"path": "lines", "durations_s": list(path.durations)}
+        moved = {"payload_kg": task.payload, **_path_facts(written(task))}
     return {
         "name": task.name,
         "machine": task.machine.name,
-        "payload_kg": task.payload,
-        **timing,
-        "points_m": [list(point) for point in path.points],
+        **moved,
         "duration_s": task.duration,
         "start": task.start,
         "end": task.end,
         "smooth_hz": task.smooth,
         "limits": {"pump_flow": task.limits.pump_flow},
     }
+
+
+def _path_facts(path: Lines | Spline | Retimed) -> dict[str, Any]:
+    """A path as it is written, in SI units."""
+    if isinstance(path, Retimed):
+        timing, shape = {"path": "retimed", "times_s": _passed(path)}, path.path
+    elif isinstance(path, Spline):
+        timing, shape = {"path": "spline", "times_s": list(path.times)}, path
+    else:
+        timing, shape = {"path": "lines", "durations_s": list(path.durations)}, path
+    return {**timing, "points_m": [list(point) for point in shape.points]}
 
 
 def machine_list(console: Console, machines: Sequence[Machine]) -> None:
@@ -184,9 +194,7 @@ def task_list(console: Console, tasks: Sequence[Task]) -> None:
     """
     table = new_table("Task", "Machine", "Path", "Start", "payload\nkg", "time\ns", numbers=2)
     for task in tasks:
-        shape = written(task)
-        shape = shape.path if isinstance(shape, Retimed) else shape
-        path = f"{'spline' if isinstance(shape, Spline) else 'lines'}, {len(shape.points)} points"
+        path = f"{len(task.legs)} legs" if task.legs else _said(written(task))
         add_row(
             table, task.name, task.machine.name, path, _place(task.start), f"{task.payload:g}", f"{task.duration:g}"
         )
@@ -201,19 +209,45 @@ def task_detail(console: Console, task: Task) -> None:
         console: Where to print.
         task: The task.
     """
-    path = written(task)
     _heading(console, task.name, "")
-    times = _passed(path)
-    shape, own = (path.path, ", retimed") if isinstance(path, Retimed) else (path, "")
-    kind = "clamped cubic spline" if isinstance(shape, Spline) else "straight lines, at rest at every point"
     say(console, f"Machine   {task.machine.name}")
-    say(console, f"Payload   {task.payload:g} kg")
     say(console, f"Start     {_place(task.start)}")
     if task.end != "free":
         say(console, f"End       {_place(task.end)}")
-    if task.timing != "fixed":
-        say(console, f"Timing    {task.timing}")
-    say(console, f"Path      {kind}{own}, {task.duration:g} s")
+    if not task.legs:
+        if task.timing != "fixed":
+            say(console, f"Timing    {task.timing}")
+        _path_detail(console, written(task), task.payload, f"{task.duration:g} s")
+        return
+    say(console, f"Time      {task.duration:g} s with waiting, as written")
+    if task.total is not None:
+        say(console, f"Total     {task.total:g} s, shared among the legs")
+    if task.time_price is not None:
+        say(console, f"Price     {1e-3 * task.time_price:g} kW for the time that legs take")
+    for i, leg in enumerate(task.legs, 1):
+        waits = f" after waiting {leg.dwell:g} s" if leg.dwell else ""
+        say(console, f"\nLeg {i}{waits}", "bold")
+        if leg.timing != "fixed":
+            say(console, f"Timing    {leg.timing}")
+        asked = leg.duration
+        chosen = f"{asked[0]:g} s to {asked[1]:g} s" if isinstance(asked, tuple) else asked
+        time = f"{leg.timed.duration:g} s" if asked is None or isinstance(asked, float) else f"{chosen}, to be chosen"
+        _path_detail(console, written(task, leg), leg.payload, time)
+
+
+def _said(path: Lines | Spline | Retimed) -> str:
+    """A path's kind and number of points."""
+    shape = path.path if isinstance(path, Retimed) else path
+    return f"{'spline' if isinstance(shape, Spline) else 'lines'}, {len(shape.points)} points"
+
+
+def _path_detail(console: Console, path: Lines | Spline | Retimed, payload: float, lasts: str) -> None:
+    """Print a path, point by point, with what hangs at the tool and how long it takes."""
+    times = _passed(path)
+    shape, own = (path.path, ", retimed") if isinstance(path, Retimed) else (path, "")
+    kind = "clamped cubic spline" if isinstance(shape, Spline) else "straight lines, at rest at every point"
+    say(console, f"Payload   {payload:g} kg")
+    say(console, f"Path      {kind}{own}, {lasts}")
     console.print()
     table = new_table("time\ns", "x\nm", "y\nm", "z\nm", numbers=4)
     for time, point in zip(times, shape.points, strict=True):
@@ -244,7 +278,8 @@ def checked(console: Console, found: facts.Checked, known: bool) -> None:
 def _path_report(console: Console, task: Task, path: facts.PathFacts) -> None:
     low, high = path.start
     say(console, f"Path              {path.length:.2f} m in {task.duration:g} s, at most {path.fastest:.3g} m/s")
-    say(console, f"Payload           {task.payload:g} kg")
+    loads = [f"{leg.payload:g} kg" for leg in task.legs] or [f"{task.payload:g} kg"]
+    say(console, f"Payload           {', '.join(loads)}")
     say(
         console, f"Start             {_place(task.start)}; {low:.4f} m to {high:.4f} m of the extension cylinder can be"
     )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from leanboom.cli.console import PUMPS, add_row, length, new_table, say, show
 from leanboom.evaluation import limits
 from leanboom.io.yaml_source import shortened
+from leanboom.planning import summaries
 from leanboom.report import facts
 
 if TYPE_CHECKING:
@@ -41,6 +42,9 @@ def plan(console: Console, result: Plan, out: Path | None, source: str) -> None:
     console.print()
     _energies(console, result)
     console.print()
+    if task.legs:
+        _legs(console, result)
+        console.print()
     for label, text in _facts(result):
         say(console, f"{label:<22}{text}")
     if result.solved:
@@ -74,6 +78,17 @@ def _energies(console: Console, result: Plan) -> None:
         say(console, "The pseudo-inverse, today's method, cannot follow this path.")
     elif not other.feasible:
         say(console, f"The pseudo-inverse breaks a limit: {shortened(other.status, 300)}.")
+
+
+def _legs(console: Console, result: Plan) -> None:
+    """Print the legs of a cycle, a line each: energies count waiting before them."""
+    table = new_table("Leg", "payload\nkg", "waiting\ns", "time\ns", f"{PUMPS[result.pump]}\nkJ", numbers=4)
+    for i, leg in enumerate(summaries.legs(result.evaluation, result.pump), 1):
+        energy = "-" if leg.energy is None else f"{leg.energy / 1e3:.2f}"
+        add_row(table, str(i), f"{leg.payload:g}", f"{leg.dwell:g}", f"{leg.duration:.2f}", energy)
+    show(console, table)
+    if any(leg.dwell for leg in result.task.legs):
+        say(console, summaries.waiting(result.evaluation, result.pump))
 
 
 def _named(result: Plan) -> str:

@@ -358,7 +358,52 @@ class Braking:
         return position, rate * velocity, rate**2 * acceleration - velocity / self.over
 
 
-Path = Lines | Spline | Retimed | Part | Moved | Braking
+@dataclass(frozen=True, slots=True)
+class Joined:
+    """Paths one after the other, each from rest to rest and from where the one before it ends."""
+
+    paths: tuple[Path, ...]
+
+    @property
+    def duration(self) -> float:
+        """Total time [s]."""
+        return float(self._ends[-1])
+
+    @property
+    def breaks(self) -> np.ndarray:
+        """Times where pieces meet, both ends included [s]."""
+        begins = self._ends - [path.duration for path in self.paths]
+        later = [begin + path.breaks[1:] for begin, path in zip(begins, self.paths, strict=True)]
+        return np.concatenate([[0.0], *later])
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomials in time."""
+        return max(path.degree for path in self.paths)
+
+    @property
+    def _ends(self) -> np.ndarray:
+        """When each path ends [s]."""
+        return np.cumsum([path.duration for path in self.paths])
+
+    def slower(self, factor: float) -> Joined:
+        """The same paths taking `factor` times as long."""
+        return Joined(tuple(path.slower(factor) for path in self.paths))
+
+    def values(self, time: np.ndarray) -> Values:
+        """Tool position [m], velocity [m/s] and acceleration [m/s^2] at times within [0, duration]."""
+        time, ends = np.asarray(time, dtype=np.float64), self._ends
+        at = np.minimum(np.searchsorted(ends, time, side="right"), len(ends) - 1)
+        found = tuple(np.empty((time.size, 3)) for _ in range(3))
+        for i, path in enumerate(self.paths):
+            here = at == i
+            begin = ends[i] - path.duration
+            for rows, values in zip(found, path.values(np.clip(time[here] - begin, 0.0, path.duration)), strict=True):
+                rows[here] = values
+        return found[0], found[1], found[2]
+
+
+Path = Lines | Spline | Retimed | Part | Moved | Braking | Joined
 PATHS: dict[str, type] = {**OWN, "retimed": Retimed}  # those that files hold
 
 

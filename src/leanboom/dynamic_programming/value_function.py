@@ -326,10 +326,15 @@ def _motion(
 def best_start(policy: Policy) -> float:
     """The start position [m] of least cost from rest."""
     stage = policy.tables.stage[0]
+    return float(stage[layout.C_LO] + stage[layout.DC] * int(from_rest(policy).argmin()))
+
+
+def from_rest(policy: Policy) -> np.ndarray:
+    """Cost to go from rest at each position of the first stage [J], (positions,)."""
+    stage = policy.tables.stage[0]
     column = int(round(-stage[layout.W_LO] / stage[layout.DW]))
     column = min(max(column, 0), policy.grid.velocities - 1)
-    values = policy.values[0, :, column] + policy.setting[layout.SLOPE_C] * policy.tables.outside[0]
-    return float(stage[layout.C_LO] + stage[layout.DC] * int(values.argmin()))
+    return policy.values[0, :, column] + policy.setting[layout.SLOPE_C] * policy.tables.outside[0]
 
 
 def prepare() -> None:

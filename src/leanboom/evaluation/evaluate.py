@@ -7,7 +7,7 @@ means at the limit.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -19,11 +19,12 @@ from leanboom.evaluation import limit_checks, remarks
 from leanboom.evaluation.limit_checks import PATH_TOLERANCE, TOLERANCE, LimitUse
 from leanboom.formulas import hydraulics, kinematics
 from leanboom.model import crane as cranes
+from leanboom.model import motion as motions
 from leanboom.model.cost_rates import demanded_pressure, rate, supply_of
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import SOLVED, Kind, Outcome
 from leanboom.model.pump_flow import pump_flow
-from leanboom.model.task import Task, sample
+from leanboom.model.task import Stretch, Task, sample
 
 __all__ = ["PATH_TOLERANCE", "SAMPLE", "TOLERANCE", "Evaluation", "LimitUse", "evaluate", "judged_cost"]
 
@@ -80,6 +81,11 @@ class Evaluation:
             InputError: For any other name.
         """
         return float(of_pump(pump, self.cumulative_ls, self.cumulative_cp)[-1])
+
+    def spent(self, pump: str, since: float, until: float) -> float:
+        """Energy of the chosen pump, "ls" or "cp", between two times [s] [J]."""
+        before, after = np.interp([since, until], self.time, of_pump(pump, self.cumulative_ls, self.cumulative_cp))
+        return float(after - before)
 
     @property
     def feasible(self) -> bool:
@@ -140,7 +146,7 @@ def evaluate(task: Task, motion: Motion) -> Evaluation:
 
     Args:
         task: The task the motion belongs to.
-        motion: Motion of the redundant cylinder, from any method.
+        motion: Motion of the redundant cylinder, from any method; of a task with legs, that of all of them.
 
     Returns:
         The completed motion with pressures, flows, power, energy and limit use on a 2 ms grid, all finite. Where a
@@ -153,7 +159,59 @@ def evaluate(task: Task, motion: Motion) -> Evaluation:
     """
     _check(task, motion)
     with np.errstate(all="ignore"):  # linkages beyond their joints' ranges: reported as such
-        return _evaluate(task, motion)
+        return _by_stretches(task, motion) if task.legs else _evaluate(task, motion)
+
+
+def _by_stretches(task: Task, whole: Motion) -> Evaluation:
+    """The judged motion of a task with legs: that of each leg and of the waiting between them, one after the other."""
+    stretches = task.stretches
+    parts = [_evaluate(task.stretch(each), motions.between(whole, each.since, each.until)) for each in stretches]
+    arrays = {
+        field.name: _chained(field.name, parts, stretches)
+        for field in fields(Evaluation)
+        if isinstance(getattr(parts[0], field.name), np.ndarray)
+    }
+    for array in arrays.values():
+        array.setflags(write=False)
+    exists, path_error = all(part.followed for part in parts), max(part.path_error for part in parts)
+    worst_first = sorted(zip(parts, stretches, strict=True), key=lambda pair: -pair[0].worst_use)
+    violations = [
+        f"{stretch.said}: {sentence}" for part, stretch in worst_first for sentence in part.violations
+        if sentence is not whole.status
+    ]  # fmt: skip
+    violations += limit_checks.apart(task, [part.joint_position for part in parts], [part.length for part in parts])
+    violations += limit_checks.unended(task, arrays["length"][:, -1], np.zeros(1))
+    if whole.status.kind is Kind.UNCONVERGED:
+        violations.insert(0, whole.status)
+    energies = float(arrays["cumulative_ls"][-1]), float(arrays["cumulative_cp"][-1])
+    return Evaluation(
+        task=task,
+        motion=whole,
+        **arrays,
+        limit_use=limit_checks.largest_of([part.limit_use for part in parts]),
+        path_error=path_error,
+        violations=tuple(violations),
+        notes=_notes(
+            task,
+            arrays["time"],
+            arrays["velocity"],
+            arrays["force"],
+            arrays["pump_flow"],
+            arrays["supply_ls"],
+            arrays["pressure"],
+            energies,
+        ),  # fmt: skip
+        followed=exists,
+    )
+
+
+def _chained(name: str, parts: list[Evaluation], stretches: tuple[Stretch, ...]) -> np.ndarray:
+    """An array of judged motions one after the other: where they meet, the end of the one before counts."""
+    found = [getattr(parts[0], name)]
+    for part, stretch in zip(parts[1:], stretches[1:], strict=True):
+        before = stretch.since if name == "time" else found[-1][-1] if name.startswith("cumulative") else 0.0
+        found.append(before + getattr(part, name)[1:])
+    return np.concatenate(found)
 
 
 def _check(task: Task, motion: Motion) -> None:

@@ -6,20 +6,22 @@ stage of the motion and every approach to the slewing axis, with values from jus
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from leanboom.components.paths import Path, approaches
 from leanboom.formulas import kinematics
 from leanboom.model.machine import Machine
-from leanboom.model.motion import Motion
+from leanboom.model.motion import STAGE_HIT, Motion
 from leanboom.model.pump_flow import LITRES_PER_MINUTE
 from leanboom.model.task import Task
 
 TOLERANCE = 1.001  # a limit used above this counts as violated
 PATH_TOLERANCE = 1e-4  # [m], tool path error that counts as leaving the path
 END_TOLERANCE, REST_TOLERANCE = 1e-4, 1e-4  # [m], [m/s]: of the redundant cylinder's end, and of its rest there
+FOLDED = 1e-2  # [rad], [m]: a joint farther from where it was has jumped
 BEYOND = 1e6  # values in sentences that are larger are given by their order of magnitude
 LOOKS = 20  # times at which a short segment is looked at; among them a quintic's largest velocity and acceleration
 INSIDE = 1e-7  # [s], how far inside its ends the one-sided values of a segment are taken
@@ -165,6 +167,29 @@ def unended(task: Task, position: np.ndarray, velocity: np.ndarray) -> tuple[str
     return tuple(found)
 
 
+def apart(task: Task, position: Sequence[np.ndarray], length: Sequence[np.ndarray]) -> list[str]:
+    """Where legs do not begin as the one before ends: one sentence each.
+
+    Args:
+        task: A task with legs.
+        position: Of the joints in each stretch [rad] or [m], (samples, joints) each.
+        length: Of the cylinders [m], (samples, joints) each.
+    """
+    found = []
+    for i, stretch in enumerate(task.stretches[1:], 1):
+        left, met = float(length[i - 1][-1, -1]), float(length[i][0, -1])
+        if abs(met - left) > END_TOLERANCE:
+            found.append(f"{stretch.said}: the extension begins at {_number(met)} m, but was at {left:.4f} m")
+        elif np.abs(position[i][0] - position[i - 1][-1]).max() > FOLDED:
+            found.append(f"{stretch.said}: the arm would be folded to the other side than before")
+    return found
+
+
+def largest_of(found: Sequence[LimitUse]) -> LimitUse:
+    """The largest use of each limit."""
+    return LimitUse(*(max(getattr(each, field.name) for each in found) for field in fields(LimitUse)))
+
+
 def _off_path(motion: Motion, course: Course) -> tuple[str, ...]:
     """Sentence on the largest path error, and whether the elbow margin causes it; empty where there is none."""
     i = int(course.error.argmax())
@@ -219,5 +244,5 @@ def _number(value: float) -> str:
 
 def _when(motion: Motion, time: float) -> str:
     """A time and the stage it is in."""
-    late = motion.step * motion.acceleration.size - motion.duration
-    return f"{time:.3f} s (stage {min(int((time + late) / motion.step + 1e-9), motion.acceleration.size - 1)})"
+    stage = int(np.searchsorted(motion.breaks[1:-1], time + STAGE_HIT * motion.step, side="right"))
+    return f"{time:.3f} s (stage {stage})"

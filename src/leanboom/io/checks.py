@@ -15,13 +15,15 @@ from leanboom.components.cylinders import Connection
 from leanboom.components.linkages import Linkage, Telescope
 from leanboom.components.paths import PATHS
 from leanboom.components.pumps import EfficiencyMap, Pump
-from leanboom.io.schema import AREAS, SIZE_KEYS, BodyKeys, CylinderKeys
+from leanboom.io.schema import AREAS, SIZE_KEYS, BodyKeys, CylinderKeys, TaskKeys
 from leanboom.io.yaml_source import Data, Key, Source
+from leanboom.model.legs import Leg
+from leanboom.model.legs import faults as leg_faults
 from leanboom.model.machine import JOINTS, AngleRange, LengthRange, Machine
 from leanboom.model.pump_flow import base_fault
-from leanboom.model.task import TIMINGS, End, Lasting, Limits, Start, faults
-from leanboom.quantities.declarations import Section, Variant
-from leanboom.quantities.types import Cutoff
+from leanboom.model.task import TIMINGS, End, Lasting, Limits, Start, faults, paths
+from leanboom.quantities.declarations import Section, Variant, declared
+from leanboom.quantities.types import Cutoff, Duration, Price
 from leanboom.quantities.units import is_bare
 
 _CYLINDER = Annotated[Any, Section(CylinderKeys)]
@@ -211,6 +213,16 @@ def _check_linkage(source: Source, key: Key, keys: Any, joint: tuple[float, floa
 def check_task(source: Source, machine: Machine | None) -> None:
     """Note the contradictions in a task file, or between the task and its machine."""
     data = source.data if isinstance(source.data, dict) else {}
+    for key in ("path", "payload", "timing", "duration"):
+        if "legs" in data and key in data:
+            source.refuse((key,), "must be left out, since each of the legs has its own")
+        elif "legs" not in data and key not in data and key in ("path", "payload"):
+            source.add((key,), " is missing", declared(TaskKeys)[key].rule.allowed)
+    given = data.get("legs")
+    legs = [_part(Annotated[Any, Section(Leg)], leg) for leg in given] if isinstance(given, list) else []
+    times = (_part(kind, data.get(key)) for kind, key in ((Duration, "total"), (Price, "time_price")))
+    for key, _, what in leg_faults(legs, *times):
+        source.refuse(key, what)
     if machine is None:
         return
     made = _part(Annotated[Any, Variant(PATHS)], data.get("path"))
@@ -225,12 +237,19 @@ def check_task(source: Source, machine: Machine | None) -> None:
     elif duration == "shortest":
         timing = duration
     timing = timing if timing in TIMINGS else "fixed"
-    found = faults(made, machine, "middle" if start is None else start, "free" if end is None else end, smooth, timing)
+    found = faults(
+        paths(made, legs), machine, "middle" if start is None else start, "free" if end is None else end, smooth, timing
+    )
     for key, _, what in found:
         source.refuse(key, what)
     limits = _part(Annotated[Limits, Section(Limits)], data.get("limits"))
-    if limits is not None and limits.pump_flow and made is not None and not found and timing == "fixed":
+    if limits is None or not limits.pump_flow or found:
+        return
+    if made is not None and timing == "fixed":
         lasting = _part(Lasting, duration)
         what = base_fault(machine, made if lasting is None else made.slower(lasting / made.duration))
         if what:
             source.refuse(("limits", "pump_flow"), what)
+    for i, leg in enumerate(legs):
+        if leg is not None and leg.settled and (what := base_fault(machine, leg.timed)):
+            source.refuse(("limits", "pump_flow"), f"{what} (leg {i + 1})")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from enum import Enum
 from typing import Any
 
@@ -19,9 +19,10 @@ from leanboom.io.checks import areas, stroke
 from leanboom.io.schema import AREAS, SHARED, SIZE_KEYS, CylinderKeys, MachineKeys, TaskKeys
 from leanboom.io.yaml_source import STATUSES, Key, dotted, scalar, shortened
 from leanboom.model.machine import Joint, Machine, Provenance
-from leanboom.model.task import Task, written
+from leanboom.model.task import Leg, Lines, Retimed, Spline, Task, written
 from leanboom.quantities.declarations import Section, Variant, declared
 from leanboom.quantities.ranges import Rule
+from leanboom.quantities.rules import Listing
 from leanboom.quantities.units import KINDS, parse, write
 
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")  # texts that need no quotes
@@ -51,19 +52,35 @@ def machine_text(machine: Machine) -> str:
 
 def task_text(task: Task, machine: str) -> str:
     """The text of a task file that loads as this task, where `machine` names the machine's file."""
-    path = written(task)
+    moved = {"legs": [_leg(task, leg) for leg in task.legs]} if task.legs else _moved(task)
     data = {
         "name": task.name,
         "machine": machine,
-        "payload": task.payload,
-        "path": Variant(PATHS).section_of(path).data(path),
+        **moved,
         "start": task.start,
         "end": task.end,
         "smooth": task.smooth,
         "limits": asdict(task.limits),
         "timing": task.timing,
+        "total": task.total,
+        "time_price": task.time_price,
     }
     return _text(Section(TaskKeys), data, f"task {task.name}", {})
+
+
+def _moved(task: Task) -> dict[str, Any]:
+    """Data of a task's payload and path."""
+    return {"payload": task.payload, "path": _path(written(task))}
+
+
+def _leg(task: Task, leg: Leg) -> dict[str, Any]:
+    """Data of a leg."""
+    path = _path(written(task, leg))
+    return {field.name: getattr(leg, field.name) for field in fields(leg)} | {"path": path}
+
+
+def _path(path: Lines | Spline | Retimed) -> dict[str, Any]:
+    return Variant(PATHS).section_of(path).data(path)
 
 
 def _text(section: Section, data: dict[str, Any], what: str, origin: dict[str, Provenance]) -> str:
@@ -126,12 +143,17 @@ def _section(section: Section, made: Any, key: Key, origin: dict[str, Provenance
         known = any(entry == dotted(here) or entry.startswith(f"{dotted(here)}.") for entry in origin)
         if value is None or (not known and not field.required and value == field.default):
             continue
-        deeper = isinstance(value, dict) or field.rule.section_of(value) is not None
+        deeper = isinstance(value, dict) or field.rule.section_of(value) is not None or _sections(field.rule, value)
         if not key and (deeper or after_section):
             lines.append("")
         after_section = deeper
         lines += _entry(value, here, field.rule, origin)
     return lines
+
+
+def _sections(rule: Rule, value: Any) -> bool:
+    """Whether a value is a list of sections."""
+    return isinstance(rule, Listing) and isinstance(value, tuple) and rule.item.section_of(value[0]) is not None
 
 
 def _entry(value: Any, key: Key, rule: Rule, origin: dict[str, Provenance]) -> list[str]:
@@ -143,9 +165,18 @@ def _entry(value: Any, key: Key, rule: Rule, origin: dict[str, Provenance]) -> l
         return [name, *_section(section, value, key, origin)]
     if isinstance(value, dict):
         return [name] + [line for inner, part in value.items() for line in _entry(part, (*key, inner), rule, origin)]
+    if isinstance(rule, Listing) and _sections(rule, value):
+        return [name] + [line for i, part in enumerate(value) for line in _item(part, (*key, i), rule, origin)]
     if not isinstance(value, tuple):
         return [f"{name} {_scalar(value, key, rule, origin)}{_comment(value, key, rule, origin)}"]
     return _listed(name, value, key, rule, origin)
+
+
+def _item(value: Any, key: Key, rule: Listing, origin: dict[str, Provenance]) -> list[str]:
+    """Lines of a section that is an item of a list: a dash before the first of them."""
+    lines = _section(rule.item.section_of(value), value, key, origin)
+    indent = "  " * len(key)
+    return [f"{indent[:-2]}- {lines[0].removeprefix(indent)}", *lines[1:]]
 
 
 def _listed(lead: str, values: tuple, key: Key, rule: Rule, origin: dict[str, Provenance]) -> list[str]:

@@ -94,12 +94,15 @@ def load_task(
         name=name,
         machine=machine,
         path=keys.path if scaled is None else keys.path.slower(scaled / keys.path.duration),
-        payload=keys.payload,
+        payload=0.0 if keys.payload is None else keys.payload,
         start=keys.start if start is None else start,
         end=keys.end if end is None else end,
         smooth=keys.smooth,
         limits=keys.limits if pump_flow_limit is None else replace(keys.limits, pump_flow=pump_flow_limit),
         timing="shortest" if keys.duration == "shortest" else keys.timing,
+        legs=keys.legs,
+        total=keys.total,
+        time_price=keys.time_price,
         source=text,
     )
 

@@ -125,8 +125,8 @@ class TaskKeys:
     """By default made of the file's name without its ending."""
     machine: Words
     """A bundled machine's name, or a machine file, relative to the task file."""
-    payload: Any
-    path: Any
+    payload: Any = None
+    path: Any = None
     start: Any
     end: Any = "free"
     smooth: Any = None
@@ -134,3 +134,6 @@ class TaskKeys:
     timing: Any = "fixed"
     duration: Lasting | None = None
     """Of the whole path, whose timing is scaled to it; or shortest, which is `timing: shortest`."""
+    legs: Any = ()
+    total: Any = None
+    time_price: Any = None

@@ -23,6 +23,7 @@ from leanboom.model import motion
 from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import stages
+from leanboom.problem.stages import Problem
 from leanboom.progress import Progress
 
 STARTS = 9  # of the continuation
@@ -43,7 +44,8 @@ def best_cycle(task: Task, cost: str, grid: tuple[int, int], step: float, tell: 
     Raises:
         InputError: If no extension is feasible both at the beginning and at the end of the path.
     """
-    lengths = common_lengths(task, step)
+    problem = stages.discretise(task, step)
+    lengths = common_lengths(problem, problem)
     tell(f"closed cycles from {lengths.size} starts", 0.02)
     middle = _search(task, float(lengths[STARTS // 2]), cost, grid, step)
     polisher = modes.build(stages.discretise(middle.task, step), cost)
@@ -58,16 +60,18 @@ def best_cycle(task: Task, cost: str, grid: tuple[int, int], step: float, tell: 
     return best
 
 
-def common_lengths(task: Task, step: float) -> np.ndarray:
-    """Extensions to try [m]: evenly spaced over those feasible at both ends of the path.
+def common_lengths(first: Problem, last: Problem) -> np.ndarray:
+    """Extensions to try [m]: evenly spaced over those feasible at the beginning of a path and at the end of another.
+
+    Args:
+        first, last: The discretised paths, of the first and the last leg; of a task without legs, its own twice.
 
     Raises:
         InputError: There are none.
     """
-    problem = stages.discretise(task, step)
-    low, high = (float(choose(end[0], end[-1])) for choose, end in ((max, problem.lower), (min, problem.upper)))
+    low, high = max(first.lower[0], last.lower[-1]), min(first.upper[0], last.upper[-1])
     if low > high:
-        ends = (f"{problem.lower[k]:.4f} m to {problem.upper[k]:.4f} m" for k in (0, -1))
+        ends = (f"{p.lower[k]:.4f} m to {p.upper[k]:.4f} m" for p, k in ((first, 0), (last, -1)))
         raise InputError("end = same; at the beginning of the path {} are feasible, at its end {}".format(*ends))
     return np.linspace(low, high, STARTS)
 

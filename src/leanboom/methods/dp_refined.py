@@ -18,7 +18,7 @@ import numpy as np
 
 from leanboom.components.costs import COSTS
 from leanboom.dynamic_programming import grids, local_minima, value_function
-from leanboom.dynamic_programming.value_function import Policy
+from leanboom.dynamic_programming.value_function import Policy, Terminal
 from leanboom.evaluation import ranking
 from leanboom.evaluation.evaluate import Evaluation, evaluate, judged_cost
 from leanboom.fixed_mode import modes
@@ -410,7 +410,7 @@ class Search:
 
 def coarse_policy(
     problem: Problem, nodes: tuple[int, int], cost: str, shown: Callable[[Policy], list[Motion]],
-    end: float | None = None, tell: Progress = quiet,
+    end: float | None = None, tell: Progress = quiet, terminal: Terminal | None = None,
 ) -> tuple[Policy, list[Motion]]:  # fmt: skip
     """The policy over all feasible extensions, with velocities as far as its motions use them, and these motions.
 
@@ -421,11 +421,12 @@ def coarse_policy(
         shown: The motions of a policy that count.
         end: Where they end [m]; None: anywhere.
         tell: Called with what happens and the share done.
+        terminal: What ending there costs; None: nothing, at rest.
     """
     limit, span = problem.crane.machine.redundant.velocity_limit, problem.pace
     while True:
         tell(f"coarse dynamic program, velocities up to {span:.3g} m/s", 0.05)
-        policy = value_function.solve(problem, grids.full_grid(problem, *nodes, span), cost, end=end)
+        policy = value_function.solve(problem, grids.full_grid(problem, *nodes, span), cost, terminal, end)
         motions = shown(policy)
         if span >= limit or max(float(np.abs(each.velocity).max()) for each in motions) < NARROW * span:
             return policy, motions

@@ -21,7 +21,7 @@ from leanboom.components.valves import Drive
 from leanboom.errors import InputError
 from leanboom.formulas import dynamics, kinematics
 from leanboom.model.machine import Body, Machine
-from leanboom.model.task import Lines, Reference, Spline, Task, sample
+from leanboom.model.task import Joined, Lines, Reference, Spline, Task, sample
 
 AXIS = 1e-6  # [m], a path nearer to the slewing axis has no base angle there
 
@@ -98,7 +98,7 @@ def _on_its_side(crane: Crane, task: Task) -> Crane:
     possible = [replace(crane, side=side) for side in sides(crane.machine)]
     if len(possible) > 1:
         path = task.path
-        while not isinstance(path, Lines | Spline):
+        while not isinstance(path, Lines | Spline | Joined):
             path = path.path
         whole = replace(task, path=path)
         points, extensions = LOOKED_AT

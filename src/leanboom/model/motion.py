@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,8 @@ from leanboom.quantities import ranges
 
 _STEP = ranges.Range("time", above=0)
 _ARRAYS = ("position", "velocity", "acceleration")
+STAGE_HIT = 1e-9  # times this close before a stage, relative to a step, are the stage's
+EVEN = 1e-9  # [s], stages that are equally spaced up to this are
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,6 +37,7 @@ class Motion:
     solve_s: float = 0.0  # wall time of solving [s], compilation excluded where it was known
     log: tuple[str, ...] = ()  # how the result came about, one line a step
     lead: float | None = None  # length of the first interval [s], above 0 and up to `step`; None: `step`
+    times: np.ndarray | None = None  # of the stages [s], (stages + 1,), rising from 0; None: `step` apart
 
     def __post_init__(self) -> None:
         ranges.hold(self, "motion", step=_STEP)
@@ -48,6 +52,11 @@ class Motion:
             )
         if self.lead is not None:
             ranges.hold(self, "motion", lead=ranges.Range("time", above=0, most=self.step))
+        if self.times is not None:
+            times = _kept("times", self.times)
+            if times.size != count + 1 or times[0] != 0.0 or not np.all(np.diff(times) > 0.0):
+                raise InputError(f"motion.times; must be {count + 1} times, one for each position, rising from 0")
+            object.__setattr__(self, "times", times)
 
     def __repr__(self) -> str:
         return self.status.head(
@@ -58,11 +67,15 @@ class Motion:
     @property
     def duration(self) -> float:
         """Duration [s]."""
+        if self.times is not None:
+            return float(self.times[-1])
         return self.step * self.acceleration.size - self._late
 
     @property
     def breaks(self) -> np.ndarray:
         """Times where the stages meet, both ends included [s]."""
+        if self.times is not None:
+            return self.times
         return np.maximum(self.step * np.arange(self.acceleration.size + 1) - self._late, 0.0)
 
     @property
@@ -77,8 +90,12 @@ class Motion:
         """
         late = self._late
         time = np.clip(np.asarray(time, dtype=np.float64), 0.0, self.duration) + late
-        stage = np.minimum((time / self.step + 1e-9).astype(np.int64), self.acceleration.size - 1)
-        dt = time - np.maximum(stage * self.step, late)
+        if self.times is None:
+            stage = np.minimum((time / self.step + 1e-9).astype(np.int64), self.acceleration.size - 1)
+            dt = time - np.maximum(stage * self.step, late)
+        else:
+            stage = np.searchsorted(self.times[1:-1], time + STAGE_HIT * self.step, side="right")
+            dt = time - self.times[stage]
         u = self.acceleration[stage]
         w = self.velocity[stage]
         return self.position[stage] + dt * (w + 0.5 * dt * u), w + dt * u, u
@@ -109,6 +126,15 @@ def from_velocities(step: float, start: float, velocity: np.ndarray, method: str
     return Motion(step, start + moved, velocity, acceleration, method, cost, **fields)
 
 
+def from_velocities_at(times: np.ndarray, start: float, velocity: np.ndarray, method: str, cost: str) -> Motion:
+    """The Motion with given start [m] and velocities [m/s] at times rising from 0 [s], (stages + 1,) both."""
+    steps = np.diff(times)
+    moved = np.concatenate([[0.0], np.cumsum(0.5 * steps * (velocity[1:] + velocity[:-1]))])
+    return Motion(
+        float(steps.max()), start + moved, velocity, np.diff(velocity) / steps, method, cost, times=times,
+    )  # fmt: skip
+
+
 def ending_at(moved: Motion, end: float) -> Motion:
     """A motion led smoothly to another end [m], from its start: velocities change by a parabola over its time."""
     if moved.position[-1] == end or moved.acceleration.size < 2:
@@ -120,6 +146,49 @@ def ending_at(moved: Motion, end: float) -> Motion:
     velocity = moved.velocity + (end - moved.position[-1]) / covered * bump
     position = moved.position[0] + np.concatenate([[0.0], np.cumsum(0.5 * steps * (velocity[1:] + velocity[:-1]))])
     return replace(moved, position=position, velocity=velocity, acceleration=np.diff(velocity) / steps)
+
+
+def joined(parts: Sequence[Motion]) -> Motion:
+    """Motions one after the other as one, with the method and the cost of the first.
+
+    Args:
+        parts: The motions, each from where the one before it ends.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    begins = np.concatenate([[0.0], np.cumsum([part.duration for part in parts])])
+    times = [begin + part.breaks[1:] for begin, part in zip(begins[:-1], parts, strict=True)]
+    first = parts[0]
+    return Motion(
+        max(part.step for part in parts),
+        np.concatenate([first.position, *(part.position[1:] for part in parts[1:])]),
+        np.concatenate([first.velocity, *(part.velocity[1:] for part in parts[1:])]),
+        np.concatenate([part.acceleration for part in parts]),
+        first.method,
+        first.cost,
+        times=np.concatenate([[0.0], *times]),
+    )
+
+
+def between(whole: Motion, since: float, until: float) -> Motion:
+    """The part of a motion between two of its times [s], on a clock of its own; its states are those of the motion."""
+    inner = whole.breaks[(whole.breaks > since + EVEN) & (whole.breaks < until - EVEN)]
+    breaks = np.concatenate([[since], inner, [until]])
+    position, velocity, _ = whole.at(breaks)
+    middle = 0.5 * (breaks[1:] + breaks[:-1])
+    acceleration = whole.at(middle)[2]
+    times = breaks - since
+    step = times[-1] / acceleration.size
+    even = np.all(np.abs(times - step * np.arange(times.size)) < EVEN)
+    return replace(
+        whole, step=step if even else float(np.diff(times).max()), position=position, velocity=velocity,
+        acceleration=acceleration, lead=None, times=None if even else times,
+    )  # fmt: skip
+
+
+def held(position: float, duration: float, method: str, cost: str) -> Motion:
+    """The motion that stays at a position [m] for a time [s]."""
+    return Motion(duration, np.full(2, position), np.zeros(2), np.zeros(1), method, cost)
 
 
 def make(step, position, velocity, acceleration, method: str, cost: str, **fields) -> Motion:

@@ -5,24 +5,27 @@ Paths are given in the machine's frame (x forward, y left, z up) and always star
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Annotated, Any
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, cast
 
 import numpy as np
 
-from leanboom.components.paths import PATHS, Braking, Lines, Moved, Part, Path, Retimed, Spline
+from leanboom.components.paths import PATHS, Braking, Joined, Lines, Moved, Part, Path, Retimed, Spline
 from leanboom.errors import InputError
+from leanboom.model import legs as leg_rules
+from leanboom.model.legs import Leg, Stretch
 from leanboom.model.machine import Machine
 from leanboom.quantities import ranges
 from leanboom.quantities.declarations import Section, Variant, hold_declared
 from leanboom.quantities.ranges import Refused, Rule
-from leanboom.quantities.rules import Word
-from leanboom.quantities.types import Bool, Cutoff, LeastMass
+from leanboom.quantities.rules import Listing, Word
+from leanboom.quantities.types import Bool, Cutoff, Duration, LeastMass, Price
 from leanboom.quantities.units import Kind, slip
 
 __all__ = [
-    "Braking", "Limits", "Lines", "Moved", "Part", "Path", "Reference", "Retimed", "Spline", "Start", "Task", "sample",
-    "written",
+    "Braking", "Joined", "Leg", "Limits", "Lines", "Moved", "Part", "Path", "Reference", "Retimed", "Spline", "Start",
+    "Stretch", "Task", "sample", "written",
 ]  # fmt: skip
 
 STARTS = ("smallest", "middle", "best")
@@ -80,11 +83,14 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A machine, a payload at its tool, a path in time and where the redundant cylinder starts."""
+    """A machine, a payload at its tool, a path in time and where the redundant cylinder starts.
+
+    With legs in place of path and payload, `path` is all of them joined, waiting included, and `payload` the heaviest.
+    """
 
     name: str
     machine: Machine
-    path: Annotated[Path, Variant(PATHS)]
+    path: Annotated[Path, Variant(PATHS)] = cast(Any, None)
     """What the tool does."""
     payload: LeastMass = 0.0
     """Hangs at the machine's payload point."""
@@ -98,21 +104,42 @@ class Task:
     """What else a motion must keep."""
     timing: Annotated[str, Word(*TIMINGS)] = "fixed"
     """Whether the path keeps its timing: fixed; free, its speed is planned for the same duration; or shortest."""
+    legs: Annotated[tuple[Annotated[Leg, Section(Leg)], ...], Listing("legs, at least one", Section(Leg), 1)] = ()
+    """In place of path and payload: one path after the other, from rest to rest, each with its payload."""
+    total: Duration | None = None
+    """Time that all legs take with all waiting, shared among those whose duration is a range."""
+    time_price: Price | None = None
+    """What a second costs beside energy, where durations are ranges; nothing if not given."""
     source: str = field(default="", repr=False, compare=False)  # the file's text
 
     def __post_init__(self) -> None:
         if not isinstance(self.machine, Machine):
             raise InputError(f"machine = {ranges.shown(self.machine)}; must be a machine: leanboom.load_machine(NAME)")
+        if self.legs:
+            self._join()
         if not isinstance(self.path, Path):
             raise InputError(f"path = {ranges.shown(self.path)}; must be a path such as leanboom.model.task.Lines")
         if not isinstance(self.limits, Limits):
             raise InputError(f"limits = {ranges.shown(self.limits)}; must be limits: leanboom.model.task.Limits()")
         hold_declared(self, "")
         ranges.one_of("timing", self.timing, TIMINGS)
-        if found := faults(self.path, self.machine, self.start, self.end, self.smooth, self.timing):
-            raise InputError(
-                "\n".join(f"{'.'.join(map(str, key))} = {ranges.shown(v)}; {what}" for key, v, what in found)
-            )
+        found = faults(paths(self.path, self.legs), self.machine, self.start, self.end, self.smooth, self.timing)
+        found += leg_rules.faults(self.legs, self.total, self.time_price)
+        if found:
+            raise InputError("\n".join(f"{dotted(key)} = {ranges.shown(value)}; {what}" for key, value, what in found))
+
+    def _join(self) -> None:
+        """Path and payload of all legs; InputError where these are given besides."""
+        wrong = [f"legs[{i}] = {ranges.shown(leg)}; must be a leg: leanboom.model.task.Leg(path=..., payload=...)"
+                 for i, leg in enumerate(self.legs) if not isinstance(leg, Leg)]  # fmt: skip
+        if not isinstance(self.path, Joined | None):
+            wrong.append(f"path = {ranges.shown(self.path)}; must be left out, since each of the legs has its own")
+        if self.timing != "fixed":
+            wrong.append(f"timing = {self.timing}; must be left out, since each of the legs has its own")
+        if wrong:
+            raise InputError("\n".join(wrong))
+        object.__setattr__(self, "path", leg_rules.joined(self.legs))
+        object.__setattr__(self, "payload", max(leg.payload for leg in self.legs))
 
     @property
     def duration(self) -> float:
@@ -129,6 +156,24 @@ class Task:
         """Whether the task goes on to the end of its path, where the crane rests; not so where more is to follow."""
         return not _cut_short(self.path)
 
+    @property
+    def stretches(self) -> tuple[Stretch, ...]:
+        """The legs and the waiting between them, in order; none of a task that has a path."""
+        return leg_rules.stretches(self.legs)
+
+    def stretch(self, part: Stretch, start: float | str = "middle", end: float | str = "free") -> Task:
+        """One leg, or the waiting before it, as a task of its own.
+
+        Args:
+            part: Which of `stretches`.
+            start, end: Of the redundant cylinder.
+        """
+        return replace(
+            self, name=f"{self.name}-{'wait' if part.waits else 'leg'}-{part.leg + 1}", path=part.path,
+            payload=self.legs[part.leg].payload, start=start, end=end, legs=(), total=None, time_price=None,
+            smooth=None if part.waits else self.smooth,
+        )  # fmt: skip
+
     def __repr__(self) -> str:
         start = self.start if isinstance(self.start, str) else f"{self.start:g} m"
         end = self.end if isinstance(self.end, str) else f"{self.end:g} m"
@@ -136,6 +181,7 @@ class Task:
         path = self.path
         shape = path.path if isinstance(path, Retimed) else path
         points = f" through {len(shape.points)} points" if isinstance(shape, Lines | Spline) else ""
+        points = f" {len(self.legs)} legs" if self.legs else points
         return (
             f"Task({self.name}: {self.machine.name}, {type(path).__name__.lower()}{points} in {path.duration:g} s, "
             f"payload {self.payload:g} kg, start {start}{end}{', pump flow limited' if self.limits.pump_flow else ''}"
@@ -148,16 +194,49 @@ def _cut_short(path: Path) -> bool:
     """Whether a path is, or is made of, a part that ends before its path does."""
     if isinstance(path, Part) and path.until < path.path.duration - ranges.MOMENT:
         return True
+    if isinstance(path, Joined):
+        return _cut_short(path.paths[-1])
     return not isinstance(path, Lines | Spline) and not isinstance(path, Braking) and _cut_short(path.path)
 
 
+def take_single(task: Task, what: str) -> None:
+    """Raise InputError where a task has legs and something takes single paths alone.
+
+    Args:
+        task: The task.
+        what: The thing, as a subject.
+    """
+    if task.legs:
+        raise InputError(
+            f"task {task.name} has {counted_legs(task)}; {what} takes a task with one path and one payload: "
+            "make one of each leg"
+        )
+
+
+def counted_legs(task: Task) -> str:
+    """The number of legs in words."""
+    return "1 leg" if len(task.legs) == 1 else f"{len(task.legs)} legs"
+
+
+def dotted(key: Key) -> str:
+    """A key as messages have it: legs[1].path."""
+    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in key).removeprefix(".")
+
+
+def paths(path: Path | None, legs: Sequence[Leg | None]) -> dict[Key, Path]:
+    """Paths of a task that are right in themselves, by where they are: that of the task, or those of its legs."""
+    if not legs:
+        return {} if path is None else {("path",): path}
+    return {("legs", i, "path"): leg.path for i, leg in enumerate(legs) if leg is not None}
+
+
 def faults(
-    path: Path | None, machine: Machine, start: Start, end: End, smooth: float | None, timing: str = "fixed"
+    given: dict[Key, Path], machine: Machine, start: Start, end: End, smooth: float | None, timing: str = "fixed"
 ) -> list[tuple[Key, object, str]]:
     """Contradictions in a task: keys of a file, their values, and what these must be.
 
     Args:
-        path: The path; None if it is wrong in itself.
+        given: The paths that are right in themselves, see `paths`.
         machine: The machine.
         start: The start.
         end: The end.
@@ -165,21 +244,23 @@ def faults(
         timing: A word of `TIMINGS`.
     """
     found: list[tuple[Key, object, str]] = []
-    shape, where = (path.path, ("path", "path")) if isinstance(path, Retimed) else (path, ("path",))
-    if isinstance(shape, Lines | Spline) and not machine.geometry.slewing:
-        flat = f"y must be 0, since machine {machine.name} does not slew"
-        found += [((*where, "points", i), point, flat) for i, point in enumerate(shape.points) if abs(point[1]) > 1e-9]
+    for where, path in given.items():
+        shape, there = (path.path, (*where, "path")) if isinstance(path, Retimed) else (path, where)
+        if isinstance(shape, Lines | Spline) and not machine.geometry.slewing:
+            flat = f"y must be 0, since machine {machine.name} does not slew"
+            wrong = [(i, point) for i, point in enumerate(shape.points) if abs(point[1]) > 1e-9]
+            found += [((*there, "points", i), point, flat) for i, point in wrong]
     longest = machine.redundant.stroke
     for key, place in (("start", start), ("end", end)):
         if isinstance(place, float) and place > longest:
             found.append(((key,), place, f"must be from 0 to {longest:.6g} m, the stroke of the extension cylinder"))
-    if path is not None and smooth is not None and path.duration < FILTERED:
+    if smooth is not None and any(path.duration < FILTERED for path in given.values()):
         found.append((("smooth",), smooth, f"needs a path of at least {FILTERED:g} s"))
     if timing != "fixed" and smooth is not None:
         found.append(
             (("smooth",), smooth, f"must be left out with timing: {timing}, whose motions are planned as they are")
         )
-    if timing != "fixed" and path is not None and not isinstance(path, Lines | Spline):
+    if timing != "fixed" and not all(isinstance(path, Lines | Spline) for path in given.values()):
         found.append((("timing",), timing, "must be fixed unless the path is lines or a spline"))
     return found
 
@@ -197,15 +278,16 @@ class Reference:
     acceleration: np.ndarray  # [m/s^2], (samples, 3)
 
 
-def written(task: Task) -> Lines | Spline | Retimed:
-    """The path of a task as a file can hold it.
+def written(task: Task, leg: Leg | None = None) -> Lines | Spline | Retimed:
+    """The path of a task, or of one of its legs, as a file can hold it.
 
     Raises:
         InputError: If the path is made in Python out of others: a part of one, one that moves, one that is left.
     """
-    if isinstance(task.path, Lines | Spline | Retimed):
-        return task.path
-    kind = type(task.path).__name__.lower()
+    path = task.path if leg is None else leg.path
+    if isinstance(path, Lines | Spline | Retimed):
+        return path
+    kind = type(path).__name__.lower()
     raise InputError(
         f"the path of task {task.name} is a {kind} path; files and tables hold lines and splines, retimed ones too"
     )

@@ -26,6 +26,7 @@ from leanboom.methods.registry import EFFORTS, GRID, METHODS, STEP, Method, Sett
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import Kind, Outcome
 from leanboom.model.task import Task
+from leanboom.planning import cycles
 from leanboom.problem import least_flow, stages, starts
 from leanboom.progress import Progress, quiet
 from leanboom.quantities.ranges import STAGE, noted, one_of
@@ -173,34 +174,48 @@ def run(
         chosen.warm_up()
     began = time.perf_counter()
     proof = _Proof(task, pump, step, seconds, gap, tell)
-    proven = effort == "thorough" and certificate.provable(task) and cost == pump
+    proven = effort == "thorough" and not task.legs and certificate.provable(task) and cost == pump
     settings = Settings(grid, step, effort, tuple(warm_start), proof.seek if proven else None)
-    start = None if chosen.free_start else _start(task, method, step)
-    minimised = chosen.costs[0] if chosen.pointwise and chosen.costs else cost
-    if task.start == "best" and task.end == "same":
-        cycle = closed_cycle.best_cycle(task, cost, grid, step, tell).motion
-        settled = replace(task, start=float(cycle.position[0]))
-        settings = replace(settings, seeds=(*settings.seeds, cycle))
+    if task.legs:
+        cycles.check(task)
+        best = cycles.plan(task, cost, chosen, tell, settings)
     else:
-        settled = starts.settled(task, step)
-    answer = chosen.plan(settled, minimised, start, tell, settings)
-    best = evaluate(settled, answer) if isinstance(answer, Motion) else answer
+        best = _single(task, cost, method, chosen, tell, settings)
     certified = proof.of(best.motion)
     solve_s = time.perf_counter() - began
     if best.feasible or not chosen.exhaustive:
         status = best.status_with(pump)
     else:
-        status = Outcome(Kind.INFEASIBLE, _explain(task, grid, stage_length(task, cost, step), best.status, tell))
+        status = Outcome(Kind.INFEASIBLE, _explain(best, cost, grid, step, tell))
     done = replace(best.motion, method=method, cost=cost, solve_s=solve_s, status=status)
     best = replace(best, motion=done)
     if not best.feasible:
         best = replace(best, violations=(status, *best.violations[1:]))
-    other = pseudo_inverse.baseline(replace(task, end="free"), float(done.position[0])) if baseline else None
+    other = _baseline(task, float(done.position[0])) if baseline else None
     tell("done", 1.0)
     found = Plan(task, pump, done, best, other, resources.peak_memory(), certified)
     if check and not best.feasible:
         raise InfeasibleError(status, plan=found, evaluation=best)
     return found
+
+
+def _single(task: Task, cost: str, name: str, method: Method, tell: Progress, settings: Settings) -> Evaluation:
+    """The judged motion of a task without legs by a method of a name; arguments as in `methods.registry`."""
+    start = None if method.free_start else _start(task, name, settings.step)
+    minimised = method.costs[0] if method.pointwise and method.costs else cost
+    if task.start == "best" and task.end == "same":
+        cycle = closed_cycle.best_cycle(task, cost, settings.grid, settings.step, tell).motion
+        settled = replace(task, start=float(cycle.position[0]))
+        settings = replace(settings, seeds=(*settings.seeds, cycle))
+    else:
+        settled = starts.settled(task, settings.step)
+    answer = method.plan(settled, minimised, start, tell, settings)
+    return evaluate(settled, answer) if isinstance(answer, Motion) else answer
+
+
+def _baseline(task: Task, start: float) -> Evaluation | None:
+    """The actuator pseudo-inverse from a start [m], its end free, judged; None where it cannot follow the path."""
+    return cycles.baseline(task, start) if task.legs else pseudo_inverse.baseline(replace(task, end="free"), start)
 
 
 @dataclass(slots=True)
@@ -267,8 +282,12 @@ def _start(task: Task, method: str, step: float) -> float:
     return start
 
 
-def _explain(task: Task, grid: tuple[int, int], step: float, status: str, tell: Progress) -> str:
+def _explain(found: Evaluation, cost: str, grid: tuple[int, int], step: float, tell: Progress) -> str:
     """Sentence on infeasibility: whether it is proven, and the shortest duration found feasible."""
+    task, status = found.task, found.status
+    if task.legs:
+        return f"no feasible motion found: {status}"
+    step = stage_length(task, cost, step)
     tell("looking for a proof that there is no motion", 0.9)
     problem = stages.discretise(task, step)
     proven = lower_bounds.excludes_motion(problem, starts.start_position(problem, task.start))

@@ -32,7 +32,7 @@ from leanboom.model import crane as cranes
 from leanboom.model import motion
 from leanboom.model.cost_rates import demanded_pressure, supply_of
 from leanboom.model.motion import Motion
-from leanboom.model.task import Part, Task
+from leanboom.model.task import Part, Task, take_single
 from leanboom.planning.replanning import Search, track
 from leanboom.problem import feasible_strokes, stages, starts
 from leanboom.problem.stages import Problem
@@ -133,6 +133,7 @@ def plan_receding(
         InputError: For arguments that cannot be used, such as a horizon shorter than a stage.
         InfeasibleError: If `check` and the motion breaks a limit, with the judged motion as its `evaluation`.
     """
+    take_single(task, "a receding horizon")
     grid, step = _check(task, pump, horizon, every, grid, step)
     value_function.prepare()
     began = time.perf_counter()

@@ -20,7 +20,7 @@ from leanboom.evaluation.evaluate import Evaluation, evaluate, judged_cost
 from leanboom.evaluation.safe_stop import Continuation
 from leanboom.model import motion
 from leanboom.model.motion import Motion
-from leanboom.model.task import Task
+from leanboom.model.task import Task, take_single
 from leanboom.problem import feasible_strokes, stages, starts
 from leanboom.problem.stages import Problem
 from leanboom.quantities.ranges import Range, noted, one_of
@@ -110,6 +110,7 @@ def replan(
     Raises:
         InputError: For a time that is not on the path, a state off the feasible extensions, or other bad arguments.
     """
+    take_single(task, "re-planning")
     grid, step = _check(task, time, position, velocity, pump, grid, step, around)
     try:
         rest = safe_stop.rest(starts.settled(task, step), time)

@@ -10,7 +10,7 @@ from leanboom.errors import InputError
 from leanboom.model import crane as cranes
 from leanboom.model import motion
 from leanboom.model.motion import Motion
-from leanboom.model.task import Task, sample
+from leanboom.model.task import Task, sample, take_single
 from leanboom.problem.feasible_strokes import feasible_strokes
 
 SLOW = 1e-3  # share of the velocity limit that is always looked at
@@ -58,8 +58,9 @@ def discretise(task: Task, step: float) -> Problem:
 
     Raises:
         InfeasibleError: If the tool cannot be at its point at some stage, whatever the extension.
-        InputError: If the timing of the task is still to be planned.
+        InputError: If the task has legs, or its timing is still to be planned.
     """
+    take_single(task, "a dynamic program")
     if task.timing != "fixed":
         raise InputError(
             f"timing = {task.timing}; the speed along the path must be planned first: use the task of the plan, "
@@ -76,7 +77,7 @@ def discretise(task: Task, step: float) -> Problem:
 
 def on_stages(problem: Problem, seed: Motion) -> Motion:
     """A motion on a problem's stages: itself, or one with its velocities there, ending at rest."""
-    if seed.acceleration.size == problem.stages:
+    if seed.acceleration.size == problem.stages and seed.times is None:
         return seed
     _, velocity, _ = seed.at(problem.time)
     velocity = velocity.copy()

@@ -134,7 +134,7 @@ def hold_declared(instance: Any, key: str) -> None:
     """
     for name, one in declared(type(instance)).items():
         value = getattr(instance, name)
-        if value is not None or one.default is not None:
+        if value is not one.default:
             object.__setattr__(instance, name, one.rule.kept(f"{key}.{name}" if key else name, value))
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from unicodedata import combining, normalize
 
 from leanboom.errors import InputError, Problem
-from leanboom.quantities.ranges import Range, Refused, Rule, listed, shown
+from leanboom.quantities.ranges import Refused, Rule, listed, shown
 from leanboom.quantities.units import Kind
 
 
@@ -25,7 +25,7 @@ class Listing(Rule):
     def __init__(
         self,
         size: str,
-        item: Range | Listing,
+        item: Rule,
         least: int,
         most: int | None = None,
         *,

@@ -39,6 +39,7 @@ KINDS = {
         Kind("acceleration", "m/s^2", "0.4 m/s^2", ("mm/s^2", "cm/s^2", "m/s^2")),
         Kind("force", "N", "6 kN", ("N", "kN", "MN")),
         Kind("pressure", "Pa", "21.5 MPa", ("Pa", "kPa", "MPa", "mbar", "bar")),
+        Kind("power", "W", "2 kW", ("W", "kW")),
         Kind("flow", "m^3/s", "325 l/min", ("l/min", "l/s", "cm^3/s", "m^3/h", "m^3/s")),
         Kind("rotational speed", "rev/s", "1800 rev/min", ("rev/min", "rpm", "rev/s")),
         Kind("displacement", "m^3/rev", "45 cm^3/rev", ("cm^3/rev", "l/rev", "m^3/rev")),
@@ -70,6 +71,7 @@ revolutions_per_minute = revolution / minute = rpm
 liter = 1e-3 * meter ** 3 = l = L = litre
 newton = kilogram * meter / second ** 2 = N
 pascal = newton / meter ** 2 = Pa
+watt = newton * meter / second = W
 bar = 1e5 * pascal
 percent = 0.01 = %
 """

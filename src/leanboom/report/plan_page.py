@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from leanboom.evaluation import limits
 from leanboom.evaluation.evaluate import SAMPLE, TOLERANCE
 from leanboom.methods.registry import METHODS
+from leanboom.planning import summaries
 from leanboom.report import energy_section, facts, plan_charts, rendering
 
 if TYPE_CHECKING:
@@ -73,6 +74,8 @@ def page(plan: Plan, grid: tuple[int, int] | None = None) -> str:
         columns=["plan", "pseudo-inverse"][: len(motions)],
         motion_text=_motion_text(plan),
         crane_parts=_crane_parts(plan),
+        legs=summaries.legs(judged, plan.pump) if task.legs else (),
+        waiting=summaries.waiting(judged, plan.pump) if any(leg.dwell for leg in task.legs) else "",
         hourly=energy_section.hourly(plan),
         totals=totals,
         energy_parts=energy_parts,

@@ -40,6 +40,7 @@ MAX_SUMMARY, MAX_TRAJECTORY = 2**20, 2**29  # [bytes]
 TOLERANCE = 1e-3  # of a sample's time, as a share of the step, and of the end, as a share of the duration
 APART = 2e-3  # [m], between a length and what the velocities before it lead to
 PUMPS = ("ls", "cp")
+EARLIER = tuple(key for key in KEYS if key != "legs")  # of a summary, before tasks could have legs
 
 
 def columns(evaluation: Evaluation) -> dict[str, np.ndarray]:
@@ -105,7 +106,7 @@ def _is_run_folder(folder: Path) -> bool:
     entries = list(folder.iterdir())
     if any(path.name not in ALLOWED or path.is_symlink() or not path.is_file() for path in entries):
         return False
-    return tuple(_kept(folder)) == KEYS
+    return tuple(_kept(folder)) in (KEYS, EARLIER)
 
 
 def _kept(folder: Path) -> dict[str, Any]:
@@ -199,12 +200,16 @@ def read(run: Path) -> tuple[Task, Motion, str]:
             raise _damaged(run / SUMMARY, f"{key} = {shortened(str(kept[key]), 100)}; must be {allowed}")
     # What was filtered before it was judged is not filtered again.
     task = replace(loading.load_task(run / TASK), smooth=None)
+    _check_times(run / TRAJECTORY, time, task)
     if abs(time[-1] - task.duration) > TOLERANCE * task.duration:
         raise _damaged(run / TRAJECTORY, f"ends at {time[-1]:g} s; the task ends at {task.duration:g} s")
-    step, names = time[-1] / (time.size - 1), (str(kept["method"]), str(kept["cost"]))
+    names = str(kept["method"]), str(kept["cost"])
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            found = motion.from_velocities(step, position[0], velocity, *names)
+            if task.legs:
+                found = motion.from_velocities_at(time, position[0], velocity, *names)
+            else:
+                found = motion.from_velocities(time[-1] / (time.size - 1), position[0], velocity, *names)
     except InputError as error:
         raise _damaged(run / TRAJECTORY, str(error)) from None
     apart = np.abs(found.position - position)
@@ -240,12 +245,23 @@ def _samples(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     if len(numbers) < 2:
         raise _damaged(path, "needs two samples or more")
     time, position, velocity = np.array(numbers).T
-    step = time[-1] / (time.size - 1)
-    uneven = np.abs(time - step * np.arange(time.size)) > TOLERANCE * step
-    if step <= 0.0 or np.any(uneven):
-        k = int(np.argmax(uneven))
-        raise _damaged(path, f"time_s = {time[k]:g} s in sample {k}; times must rise evenly from 0")
     return time, position, velocity
+
+
+def _check_times(path: Path, time: np.ndarray, task: Task) -> None:
+    """Raise InputError unless times [s] rise evenly from 0; with legs, in each of them and while waiting."""
+    import numpy as np
+
+    inner = [int(np.argmin(np.abs(time - each.until))) for each in task.stretches[:-1]]
+    first = 0
+    for last in [*inner, time.size - 1]:
+        since = time[first] if first else 0.0
+        step = (time[last] - since) / max(last - first, 1)
+        uneven = np.abs(time[first : last + 1] - since - step * np.arange(last - first + 1)) > TOLERANCE * step
+        if step <= 0.0 or last <= first or np.any(uneven):
+            k = first + int(np.argmax(uneven))
+            raise _damaged(path, f"time_s = {time[k]:g} s in sample {k}; times must rise evenly from 0")
+        first = last
 
 
 def _damaged(path: Path, problem: str) -> InputError:

@@ -21,7 +21,7 @@ from leanboom.formulas import hydraulics, kinematics
 from leanboom.model.cost_rates import supply_of
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import COMPLETE, Kind, Outcome
-from leanboom.model.task import Task, sample
+from leanboom.model.task import Task, sample, take_single
 from leanboom.progress import Progress, quiet
 from leanboom.quantities.ranges import one_of
 from leanboom.simulation import controllers, events, path_accuracy, plant
@@ -160,6 +160,7 @@ def simulate(
             exist; or the controller's answer cannot be used.
     """
     one_of("pump", pump, PUMPS)
+    take_single(task, "the simulation")
     wanted = task.machine.valve.controller if controller is None else controller
     factory = CONTROLLERS.find(wanted) if isinstance(wanted, str) else wanted
     planned = evaluate(task, motion)

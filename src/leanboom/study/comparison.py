@@ -21,7 +21,7 @@ from leanboom.evaluation.evaluate import check_measurable
 from leanboom.methods.registry import METHODS, STEP, Method
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import Kind, Outcome
-from leanboom.model.task import Start, Task
+from leanboom.model.task import Start, Task, take_single
 from leanboom.planning import planner, summaries
 from leanboom.planning.planner import Plan
 from leanboom.problem import least_flow, stages, starts
@@ -208,6 +208,7 @@ def compare(
         InputError: For arguments or tasks that cannot be used.
         InfeasibleError: If the tool cannot follow the path, whatever the extension.
     """
+    take_single(task, "a comparison")
     pumps = tuple(dict.fromkeys((pump,) if isinstance(pump, str) else pump))
     if not pumps or any(name not in PUMPS for name in pumps):
         raise InputError(f"pump = {', '.join(pumps) or 'nothing'}; must be some of {', '.join(PUMPS)}")

@@ -1,0 +1,253 @@
+"""Where the redundant cylinder stands between legs: by a dynamic program over all legs, then moved by their polish.
+
+Legs are coupled through these extensions alone. Backward from the last leg, the least cost to go from rest at every
+extension is the terminal cost of the leg before: one dynamic program over the whole task, on the coarse grid. A cycle
+that closes is solved so for some starts, each of which is its end. The fixed-mode program of a leg is smooth in the
+extensions at both its ends, and moves all of them together to the least total cost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from leanboom.dynamic_programming import value_function
+from leanboom.dynamic_programming.value_function import Policy, Terminal
+from leanboom.errors import InfeasibleError, InputError
+from leanboom.evaluation.evaluate import Evaluation, evaluate, judged_cost
+from leanboom.fixed_mode import modes
+from leanboom.fixed_mode.modes import Modes, Polisher
+from leanboom.methods import closed_cycle
+from leanboom.methods.dp_refined import coarse_policy, stage_length
+from leanboom.model import motion
+from leanboom.model.motion import Motion
+from leanboom.model.task import Stretch, Task
+from leanboom.problem import stages, starts
+from leanboom.problem.stages import Problem
+
+CLOSED_GRID = 0.5  # nodes along each axis where a cycle closes, in those of the grid asked for
+ACCURACY, CALLS = 2e-4, 20  # of extensions that are moved [m]; evaluations for each of them at most
+BROKEN = 10.0  # times its cost, that a motion counts which breaks a limit or was not found
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """A task with legs, ready to be planned: the discretised legs, and what is given of its start and end."""
+
+    task: Task
+    cost: str
+    grid: tuple[int, int]
+    step: float  # [s], asked for
+    legs: tuple[Stretch, ...]
+    problems: tuple[Problem, ...]
+    start: float | None  # [m]; None: free
+    end: float | None  # [m]; None: free, or the start where that is free
+    closed: bool  # whether it ends where it starts
+
+    @property
+    def inner(self) -> tuple[tuple[float, float], ...]:
+        """Feasible extensions before the first leg, between legs, and after the last one [m]."""
+        before = [(float(p.lower[0]), float(p.upper[0])) for p in self.problems]
+        return (*before, (float(self.problems[-1].lower[-1]), float(self.problems[-1].upper[-1])))
+
+    @property
+    def spacing(self) -> float:
+        """Distance of extensions on the coarse grid [m]."""
+        return max(high - low for low, high in self.inner) / (self.grid[0] - 1)
+
+    def leg(self, i: int, start: float | str, end: float | str) -> Task:
+        """A leg as a task of its own, from a start to an end [m]."""
+        return self.task.stretch(self.legs[i], start, end)
+
+
+def chain(task: Task, cost: str, grid: tuple[int, int], step: float) -> Chain:
+    """The `Chain` of a task with legs; its free ends are not known.
+
+    Raises:
+        InputError: A given start or end is not feasible, or none is feasible at both where it closes.
+        InfeasibleError: The tool cannot follow a leg, whatever the extension.
+    """
+    legs = tuple(each for each in task.stretches if not each.waits)
+    problems = []
+    for i, each in enumerate(legs):
+        last = task.end if i == len(legs) - 1 else "free"
+        alone = task.stretch(each, task.start if i == 0 else "best", last)
+        with named(i):
+            problems.append(stages.discretise(alone, stage_length(alone, cost, step)))
+    with named(0):
+        start = starts.start_position(problems[0], task.start)
+    with named(len(legs) - 1):
+        end = starts.end_position(problems[-1], start)
+    return Chain(task, cost, grid, step, legs, tuple(problems), start, end, task.end == "same")
+
+
+@contextmanager
+def named(leg: int) -> Iterator[None]:
+    """Context in which errors say which leg they are about, by its number from 0."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"leg {leg + 1}: {error}") from None
+    except InfeasibleError as error:
+        raise InfeasibleError(f"leg {leg + 1}: {error}", plan=error.plan, evaluation=error.evaluation) from None
+
+
+def coarse(given: Chain) -> np.ndarray:
+    """Extensions before, between and after the legs that cost least on the coarse grid [m], (legs + 1,).
+
+    Args:
+        given: The chain.
+    """
+    if not given.closed or given.start is not None:
+        return _forward(given, _backward(given, given.grid, given.end), given.start)
+    nodes = tuple(max(3, round(CLOSED_GRID * count)) for count in given.grid)
+    found = []
+    for start in closed_cycle.common_lengths(given.problems[0], given.problems[-1]):
+        policies = _backward(given, (nodes[0], nodes[1]), float(start))
+        found.append((float(np.interp(start, *at_rest(policies[0]))), float(start)))
+    _, best = min(found)
+    return _forward(given, _backward(given, given.grid, best), best)
+
+
+def at_rest(policy: Policy) -> tuple[np.ndarray, np.ndarray]:
+    """Extensions at the first stage of a policy over a full grid [m], and least costs from rest there."""
+    nodes = np.linspace(policy.grid.c_lo[0], policy.grid.c_hi[0], policy.grid.positions)
+    return nodes, value_function.from_rest(policy)
+
+
+def _backward(given: Chain, nodes: tuple[int, int], end: float | None) -> list[Policy]:
+    """The policies of all legs, from the last one on; each knows what the legs after it cost from where it ends."""
+    policies: list[Policy] = []
+    terminal: Terminal | None = None
+    for i in reversed(range(len(given.legs))):
+        start = given.start if i == 0 else None
+        last = end if i == len(given.legs) - 1 else None
+
+        def shown(policy: Policy, start: float | None = start) -> list[Motion]:
+            return [value_function.rollout(policy, value_function.best_start(policy) if start is None else start)]
+
+        with named(i):
+            policy, _ = coarse_policy(given.problems[i], nodes, given.cost, shown, last, terminal=terminal)
+        policies.insert(0, policy)
+        if i:
+            terminal = _then(given.problems[i - 1], given.cost, *at_rest(policy))
+    return policies
+
+
+def _then(problem: Problem, cost: str, nodes: np.ndarray, costs: np.ndarray) -> Terminal:
+    """Terminal cost of a leg: that of all after it from where it ends, which is at rest."""
+    steep = value_function.slopes(problem, cost)[1]
+    return lambda position, velocity: np.interp(position, nodes, costs) + steep * np.abs(velocity)
+
+
+def _forward(given: Chain, policies: Sequence[Policy], start: float | None) -> np.ndarray:
+    """Extensions that the policies lead through from a start [m]; None: from the best one."""
+    at = [value_function.best_start(policies[0]) if start is None else start]
+    for policy, (low, high) in zip(policies, given.inner[1:], strict=True):
+        moved = value_function.rollout(policy, at[-1])
+        at.append(float(np.clip(moved.position[-1], low, high)))
+    return np.array(at)
+
+
+class Mover:
+    """Moves the extensions between legs, with the modes of a motion of each leg."""
+
+    def __init__(self, given: Chain, motions: Sequence[Evaluation], step: float | None = None):
+        self.given, self.base = given, motions
+        problems = given.problems
+        if step is not None:  # shorter stages than those of the chain
+            problems = tuple(stages.discretise(problem.task, step) for problem in problems)
+        self._polishers = [modes.build(_ended(problem), given.cost) for problem in problems]
+        self._seeds = [stages.on_stages(p.problem, e.motion) for p, e in zip(self._polishers, motions, strict=True)]
+        self._switches = [modes.modes(p, seed) for p, seed in zip(self._polishers, self._seeds, strict=True)]
+        self._known: dict[tuple[int, float, float], Evaluation | None] = {}
+
+    def leg(self, i: int, start: float, end: float) -> Evaluation | None:
+        """A leg from a start to an end [m], polished; None where nothing is found."""
+        key = i, round(start, 9), round(end, 9)
+        if key not in self._known:
+            self._known[key] = polished(self._polishers[i], self._seeds[i], start, end, self._switches[i])
+        return self._known[key]
+
+    def legs(self, at: np.ndarray) -> list[Evaluation | None]:
+        """All legs between extensions [m], (legs + 1,)."""
+        return [self.leg(i, float(at[i]), float(at[i + 1])) for i in range(len(self._seeds))]
+
+    def total(self, at: np.ndarray) -> float:
+        """What all legs cost between extensions [m]; more where a limit is broken."""
+        found, cost = 0.0, self.given.cost
+        for each, known in zip(self.legs(at), self.base, strict=True):
+            spent = judged_cost(known if each is None else each, cost)
+            found += spent if each is not None and each.feasible else BROKEN * abs(spent)
+        return found
+
+    def best(self, at: np.ndarray, reach: float) -> np.ndarray:
+        """The extensions of least total cost near given ones [m], (legs + 1,).
+
+        Costs have kinks where cylinders begin or end to move: a method without derivatives goes downhill.
+
+        Args:
+            at: The given ones.
+            reach: How far to look first [m].
+        """
+        from scipy.optimize import minimize
+
+        free = self.free
+        if not free:
+            return at
+        first = self.total(at)
+        scale = abs(first) or 1.0
+        low, high = np.array(self.bounds).T
+        answer = minimize(
+            lambda moved: self.total(self.placed(at, np.clip(reach * moved, low, high))) / scale, at[free] / reach,
+            method="COBYLA", bounds=list(zip(low / reach, high / reach, strict=True)), tol=ACCURACY / reach,
+            options={"rhobeg": 1.0, "maxiter": CALLS * len(free)},
+        )  # fmt: skip
+        found = self.placed(at, np.clip(reach * answer.x, low, high))
+        return found if self.total(found) < first else at
+
+    @property
+    def free(self) -> list[int]:
+        """Which extensions may move; the last one of a closed cycle moves with the first."""
+        given, last = self.given, len(self.given.legs)
+        inner = list(range(1, last))
+        first = [0] if given.start is None else []
+        return [*first, *inner, *([last] if given.end is None and not given.closed else [])]
+
+    @property
+    def bounds(self) -> list[tuple[float, float]]:
+        """Feasible ends of those that may move [m]."""
+        inner = list(self.given.inner)
+        if self.given.closed:
+            inner[0] = max(inner[0][0], inner[-1][0]), min(inner[0][1], inner[-1][1])
+        return [inner[k] for k in self.free]
+
+    def placed(self, at: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        """All extensions where those that may move are moved [m]."""
+        found = at.copy()
+        found[self.free] = moved
+        if self.given.closed:
+            found[-1] = found[0]
+        return found
+
+
+def _ended(problem: Problem) -> Problem:
+    """A problem whose motions end where they are led to."""
+    return replace(problem, task=replace(problem.task, start="middle", end="same"))
+
+
+def polished(polisher: Polisher, beside: Motion, start: float, end: float, switches: Modes) -> Evaluation | None:
+    """The judged motion of a leg from a start to an end [m], polished from one beside it; None where none is found.
+
+    Args:
+        polisher: The fixed-mode program of a leg with a given end.
+        beside: The other motion, on the program's stages.
+        start, end: Of the redundant cylinder [m].
+        switches: The modes.
+    """
+    seed = motion.from_velocities(beside.step, start, beside.velocity, "dp", polisher.cost)
+    answer, _ = modes.solve(polisher, motion.ending_at(seed, end), switches)
+    return None if answer is None else evaluate(replace(polisher.problem.task, start=start, end=end), answer)

@@ -1,0 +1,269 @@
+"""Tasks with legs: files, the judge, plans of whole cycles, and what takes single paths alone."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+import leanboom as lb
+from bundled_texts import edited, problems, written
+from command_line import leanboom
+from leanboom.certificate.certificate import certify
+from leanboom.components.pumps import EfficiencyMap
+from leanboom.errors import InputError
+from leanboom.io.loading import dump_task
+from leanboom.methods.dp_refined import Search
+from leanboom.methods.registry import EFFORTS
+from leanboom.model import motion
+from leanboom.model.task import Leg, Lines, Part
+from leanboom.planning import junctions, planner, summaries
+from leanboom.problem import stages
+from leanboom.report import run_folder
+from leanboom.simulation.closed_loop import simulate
+
+DOWN, UP = ([5.5, 0.0, 4.64], [5.5, 0.0, 1.60]), ([5.5, 0.0, 1.60], [5.5, 0.0, 4.64])
+VERTICAL = lb.load_task("forwarder-vertical", start="middle")
+CYCLE = lb.Task(
+    name="cycle",
+    machine=VERTICAL.machine,
+    legs=(
+        Leg(payload=0.0, path=Lines(DOWN, (5.0,))),
+        Leg(payload=250.0, dwell=2.0, path=Lines(UP, (6.0,))),
+    ),
+    start="middle",
+    end="same",
+)
+QUICK = {"grid": (41, 21), "step": 0.2, "effort": "quick"}
+FILE = dump_task(CYCLE, "forwarder")
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return planner.run(CYCLE, pump="cp", **QUICK)
+
+
+def held(task, at):
+    """The motion that stands still through all stretches, at the position given for each [m]."""
+    parts = [motion.held(x, each.until - each.since, "held", "cp") for x, each in zip(at, task.stretches, strict=True)]
+    return motion.joined(parts)
+
+
+# Files
+
+
+def test_a_cycle_is_written_and_read(tmp_path):
+    ranged = replace(
+        CYCLE,
+        legs=(CYCLE.legs[0].lasting("5500 ms"), replace(CYCLE.legs[1], duration=(5.0, 9.0))),
+        total=14.0,
+    )
+    again = lb.load_task(written(tmp_path, dump_task(ranged, "forwarder"), "cycle.yaml"))
+    assert again == ranged
+    assert (again.duration, again.payload) == (5.5 + 2.0 + 6.0, 250.0)
+    assert again.legs[0].duration == 5.5
+
+
+RANGE = ("dwell: 2 s", "dwell: 2 s\n    duration: [7 s, 9 s]")
+
+
+@pytest.mark.parametrize(
+    ("edits", "more", "message"),
+    [
+        ([], "payload: 3 kg", "payload = 3 kg; must be left out, since each of the legs has its own"),
+        ([], "path: {type: lines}", "path = a mapping; must be left out, since each of the legs has its own"),
+        ([("payload: 250 kg", "payloud: 250 kg")], "", "legs[1].payload is missing; must be a mass at least 0"),
+        ([("[5.5, 0, 1.6]\n        - [5.5, 0, 4.64]", "[5.5, 0, 1.7]\n        - [5.5, 0, 4.64]")], "",
+         "legs[1].path.points[0] = [5.5, 0, 1.7]; must be [5.5, 0, 1.6], where leg 1 ends"),
+        ([("dwell: 2 s", "duration: [9 s, 8 s]")], "",
+         "legs[1].duration = [9 s, 8 s]; is an empty range: the second time must be above the first"),
+        ([("dwell: 2 s", "duration: slow")], "",
+         "legs[1].duration = slow; must be a time such as 8 s, a range of times such as [6 s, 12 s], or shortest"),
+        ([RANGE], "total: 13 s", "total = 13 s; must be at least 14 s, the sum of the shortest legs and waiting"),
+        ([RANGE], "total: 17 s", "total = 17 s; must be at most 16 s, the sum of the longest legs and waiting"),
+        ([RANGE], "total: 15 s\ntime_price: 2 kW", "time_price = 2 kW; must be left out where total is given"),
+        ([], "total: 17 s", "total = 17 s; needs a leg whose duration is a range"),
+        ([], "time_price: 2 kg", "time_price = 2 kg; must be a finite power in W, kW, such as 2 kW"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_together_is_named_with_line_and_leg(tmp_path, edits, more, message):
+    found = problems(lb.load_task, written(tmp_path, edited(FILE, edits) + f"{more}\n"))
+    assert any(message in line and line.startswith("bad.yaml:") for line in found), found
+
+
+def test_a_task_without_legs_needs_path_and_payload(tmp_path):
+    found = problems(lb.load_task, written(tmp_path, "machine: forwarder\nstart: middle\n"))
+    assert [line.partition("; ")[0] for line in found] == [
+        "bad.yaml:1: path is missing", "bad.yaml:1: payload is missing",
+    ]  # fmt: skip
+
+
+def test_a_payload_changes_at_rest_alone():
+    moving = Part(Lines(DOWN, (5.0,)), 0.0, 2.5)
+    with pytest.raises(InputError, match=r"legs\[0\].path = .*; must begin and end at rest: the payload changes there"):
+        replace(CYCLE, legs=(Leg(payload=0.0, path=moving),))
+    with pytest.raises(InputError, match="path = .*; must be left out, since each of the legs has its own"):
+        replace(VERTICAL, legs=CYCLE.legs)
+
+
+# The judge
+
+
+def test_a_cycle_is_judged_leg_by_leg():
+    """Its energies are the sums of those of its legs, which carry what hangs on each; nothing flows while it waits."""
+    whole = lb.evaluate(CYCLE, held(CYCLE, (0.7, 0.7, 0.7)))
+    assert whole.feasible
+    alone = [
+        lb.evaluate(replace(VERTICAL, path=leg.path, payload=leg.payload), motion.held(0.7, lasts, "held", "cp"))
+        for leg, lasts in zip(CYCLE.legs, (5.0, 6.0), strict=True)
+    ]
+    assert whole.energy_ls == pytest.approx(sum(each.energy_ls for each in alone), rel=1e-12)
+    assert np.all(np.diff(whole.time) > 0.0) and whole.time[-1] == pytest.approx(13.0)
+    waits = (whole.time > 5.0) & (whole.time < 7.0)
+    assert np.all(whole.pump_flow[waits] == 0.0) and np.all(whole.power_ls[waits] == 0.0)
+    shares = summaries.legs(whole, "cp")
+    assert [leg.energy for leg in shares] == pytest.approx([each.energy_cp for each in alone])
+    assert whole.limit_use.worst == max(each.limit_use.worst for each in alone)
+
+
+def test_legs_begin_where_the_one_before_ends_and_the_cycle_closes():
+    jumping = lb.evaluate(CYCLE, held(CYCLE, (0.7, 0.7002, 0.7002)))
+    begins = "leg 2, from 7 s on: the extension begins at 0.7002 m, but was at 0.7000 m"
+    assert jumping.violations == (begins, "the extension ends at 0.7002 m, and must end at 0.7000 m (end: same)")
+    assert lb.evaluate(CYCLE, held(CYCLE, (0.7, 0.70005, 0.70005))).feasible
+
+
+def test_the_waiting_of_a_pump_with_an_efficiency_map_costs_its_losses_at_rest():
+    levels, shares = (5e6, 15e6, 25e6), (((0.6, 0.7, 0.72), (0.75, 0.82, 0.84), (0.8, 0.86, 0.88)),)
+    lossy = EfficiencyMap(30.0, (30.0,), (20e-6, 60e-6, 200e-6), levels, shares)
+    machine = CYCLE.machine
+    cycle = replace(CYCLE, machine=replace(machine, pump=replace(machine.pump, efficiency=lossy)))
+    whole = lb.evaluate(cycle, held(cycle, (0.7, 0.7, 0.7)))
+    at_rest = whole.power_ls[(whole.time > 5.5) & (whole.time < 6.5)]
+    assert at_rest.min() == at_rest.max() > 0.0
+    assert "the losses of its efficiency map at rest" in summaries.waiting(whole, "ls")
+
+
+def test_a_limit_is_broken_in_a_leg():
+    fast = replace(CYCLE, legs=(CYCLE.legs[0].lasting(1.0), CYCLE.legs[1]))
+    judged = lb.evaluate(fast, held(fast, (0.7, 0.7, 0.7)))
+    assert judged.violations[0].startswith("leg 1, from 0 s on: ")
+
+
+# Plans
+
+
+def test_a_closed_cycle_with_two_payloads_is_planned_and_costs_no_more_than_legs_planned_one_after_another(plan):
+    assert plan.solved
+    assert plan.motion.position[-1] == pytest.approx(plan.motion.position[0], abs=1e-9)
+    assert plan.saving() > 0.0
+    first = planner.run(replace(VERTICAL, path=CYCLE.legs[0].path), pump="cp", baseline=False, **QUICK)
+    second = replace(
+        VERTICAL, path=CYCLE.legs[1].path, payload=250.0, start=float(first.motion.position[-1]),
+        end=float(first.motion.position[0]),
+    )  # fmt: skip
+    greedy = first.evaluation.energy_cp + planner.run(second, pump="cp", baseline=False, **QUICK).evaluation.energy_cp
+    assert plan.evaluation.energy_cp <= greedy * (1.0 + 1e-6)
+
+
+def test_no_pair_of_extensions_on_a_grid_makes_a_cheaper_cycle():
+    """Every start and every extension between the legs, each leg planned by itself; with the best start of all."""
+    free = replace(CYCLE, start="best")
+    found = planner.run(free, pump="cp", baseline=False, **QUICK)
+    given = junctions.chain(free, "cp", (41, 21), 0.25)
+    at = [np.linspace(low + 1e-6, high - 1e-6, 4) for low, high in (given.inner[2], given.inner[1])]
+    costs = []
+    for start, middle in product(*at):
+        legs = [given.leg(0, float(start), float(middle)), given.leg(1, float(middle), float(start))]
+        plans = [
+            Search(leg, "cp", (31, 15), 0.25, EFFORTS["quick"]).run_once(stages.discretise(leg, 0.25), leg.start)
+            for leg in legs
+        ]
+        if all(each.feasible for each in plans):
+            costs.append(sum(each.energy_cp for each in plans))
+    assert len(costs) > 8
+    assert found.evaluation.energy_cp <= 1.001 * min(costs)
+
+
+def test_a_method_that_leaves_the_end_free_plans_legs_one_after_another():
+    free = replace(CYCLE, end="free")
+    found = planner.run(free, pump="cp", method="sns-actuator", check=False, **QUICK)
+    assert found.evaluation.energy_cp == pytest.approx(found.baseline.energy_cp)
+    assert "legs" not in str(found.status)
+    with pytest.raises(InputError, match="end = same; method sns-actuator cannot lead the motion to an end"):
+        planner.run(CYCLE, pump="cp", method="sns-actuator", **QUICK)
+
+
+def test_the_run_folder_of_a_cycle_holds_it_whole(plan, tmp_path):
+    out = run_folder.write(plan, tmp_path / "run")
+    task, again, _ = run_folder.read(out)
+    assert task.legs == CYCLE.legs
+    judged = lb.evaluate(task, again)
+    assert judged.feasible
+    assert judged.energy_cp == pytest.approx(plan.evaluation.energy_cp, rel=1e-4)
+    kept = json.loads((out / "summary.json").read_text())
+    assert [leg["payload_kg"] for leg in kept["legs"]] == [0.0, 250.0]
+    assert [leg["dwell_s"] for leg in kept["legs"]] == [0.0, 2.0]
+    assert sum(leg["energy_j"] for leg in kept["legs"]) == pytest.approx(kept["energy_j"])
+    assert "The legs" in (out / "report.html").read_text()
+
+
+def test_an_ordinary_task_is_one_leg(tmp_path):
+    summary = summaries.summary(planner.run(VERTICAL, pump="cp", baseline=False, **QUICK))
+    assert summary["legs"] == [
+        {"duration_s": 6.0, "dwell_s": 0.0, "energy_j": summary["energy_j"], "payload_kg": 0.0}
+    ]  # fmt: skip
+
+
+def test_commands_show_and_plan_a_cycle(tmp_path):
+    file = str(written(tmp_path, FILE, "cycle.yaml"))
+    shown = leanboom("tasks", file)
+    assert "Leg 2 after waiting 2 s" in shown.stdout
+    assert json.loads(leanboom("tasks", file, "--json").stdout)["legs"][1]["dwell_s"] == 2.0
+    assert leanboom("check", file).exit_code == 0
+    made = leanboom("plan", file, "--pump", "cp", "--effort", "quick", "--grid", "41x21", "--step", "0.2")
+    assert made.exit_code == 0
+    assert "The crane waits 2 s, and no oil flows" in made.stdout
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda task, moved: certify(task, "cp", motion=moved),
+        lambda task, moved: lb.replan(task, 1.0, 0.7, 0.0),
+        lambda task, moved: lb.plan_receding(task),
+        lambda task, moved: lb.compare(task),
+        simulate,
+    ],
+)
+def test_what_takes_single_paths_says_so(use):
+    with pytest.raises(InputError, match="task cycle has 2 legs; .* takes a task with one path and one payload: make"):
+        use(CYCLE, held(CYCLE, (0.7, 0.7, 0.7)))
+
+
+def test_a_start_that_the_cycle_cannot_come_back_to_is_named_with_its_leg():
+    apart = replace(CYCLE, legs=(Leg(payload=0.0, path=lb.load_task("forwarder-horizontal").path),), start="smallest")
+    with pytest.raises(InputError, match=r"leg 1: end = same, and the start is .* m; feasible at the end of this path"):
+        planner.run(apart, pump="cp", **QUICK)
+
+
+# Motions of legs
+
+
+def test_motions_are_joined_and_cut_again():
+    ramp = motion.from_velocities(0.5, 0.2, [0.0, 0.1, 0.1, 0.0], "dp", "cp")
+    still = motion.held(float(ramp.position[-1]), 0.7, "dp", "cp")
+    whole = motion.joined([ramp, still, ramp])
+    assert whole.duration == pytest.approx(3.7)
+    time = np.linspace(0.0, 1.5, 31)
+    np.testing.assert_allclose(whole.at(time)[0], ramp.at(time)[0], atol=1e-15)
+    again = motion.between(whole, 0.0, 1.5)
+    assert (again.times, again.step) == (None, pytest.approx(0.5))
+    np.testing.assert_allclose(again.position, ramp.position, atol=1e-12)
+    inside = motion.between(whole, 0.25, 1.75)
+    np.testing.assert_allclose(inside.at(time[:20])[1], whole.at(time[:20] + 0.25)[1], atol=1e-12)
+    with pytest.raises(InputError, match="motion.times; must be 4 times, one for each position, rising from 0"):
+        replace(ramp, times=[0.0, 0.5, 0.4, 1.0])
