@@ -167,6 +167,19 @@ def test_replanned_motions_and_policies_keep_the_limit():
     assert kept.evaluation.limit_use.flow <= 1.001
 
 
+def test_other_methods_are_judged_by_the_limit_or_refuse_it():
+    task = replace(load_task("forwarder-vertical"), start="middle")
+    other = planner.run(task, method="sns-actuator", baseline=False)
+    tight = pumped(task, 0.9 * other.evaluation.limit_use.flow * task.machine.pump.max_flow)
+    judged = planner.run(tight, method="sns-actuator", baseline=False, check=False)
+    assert not judged.evaluation.feasible and judged.status.startswith("pump flow is ")
+    for method in ("pseudospectral", "shooting"):
+        with pytest.raises(InputError, match=f"method {method} knows no limit of the pump's flow: use dp or polish"):
+            planner.run(tight, method=method)
+    polished = planner.run(tight, method="polish", baseline=False, step=0.1)
+    assert polished.solved and polished.evaluation.limit_use.flow <= 1.001
+
+
 # Bad input
 
 

@@ -116,6 +116,15 @@ def test_an_extended_specification_plans_what_is_new_alone(made, tmp_path, threa
     assert _whole(tmp_path / "out", 12)
 
 
+def test_keys_of_motions_stay_what_they_were_where_a_task_uses_nothing_new():
+    """A library built before tasks could limit the pump's flow keeps its motions."""
+    task = loading.load_task("forwarder-vertical")
+    key = keys.motion_key(task, "ls", "machine")
+    assert key == "327c5f12806ddf3fcae2c93b702f6570"
+    assert keys.motion_key(loading.load_task("forwarder-vertical", pump_flow_limit=True), "ls", "machine") != key
+    assert keys.motion_key(replace(task, timing="free"), "ls", "machine") != key
+
+
 def test_what_has_no_solution_is_kept_with_its_reason(made, tmp_path, threads):
     summary = engine.build(made, tmp_path / "out", work=lost)
     assert (summary.infeasible, summary.solved) == (8, 0)

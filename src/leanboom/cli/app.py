@@ -21,7 +21,7 @@ from leanboom.cli.files import check, machines, new, schema, tasks
 from leanboom.cli.identify import identify
 from leanboom.cli.library import commands as library_commands
 from leanboom.cli.planning import certify, plan, simulate
-from leanboom.cli.studies import compare, reproduce
+from leanboom.cli.studies import compare, pareto, reproduce
 from leanboom.cli.terminal import Terminated, complain
 from leanboom.errors import LeanboomError
 
@@ -123,6 +123,6 @@ class _Listing(TyperCommand):
         super().format_help(ctx, formatter)
 
 
-for _command in (plan, certify, simulate, compare, reproduce, identify, new, schema, check, machines, tasks):
+for _command in (plan, certify, simulate, compare, pareto, reproduce, identify, new, schema, check, machines, tasks):
     app.command(cls=_Listing)(_command)
 app.add_typer(library_commands, name="library")

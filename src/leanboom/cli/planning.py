@@ -10,6 +10,7 @@ import typer
 from leanboom.cli.terminal import (
     GRID,
     STEP,
+    Effort,
     End,
     FlowLimit,
     Json,
@@ -26,7 +27,6 @@ from leanboom.cli.terminal import (
     settings,
 )
 from leanboom.errors import InputError
-from leanboom.methods.registry import EFFORTS
 from leanboom.planning import summaries
 
 
@@ -54,15 +54,7 @@ def plan(
         str, typer.Option(metavar="PxV", help="Positions and velocities of the extension on the coarse grid.")
     ] = GRID,
     step: Step = STEP,
-    effort: Annotated[
-        str,
-        typer.Option(
-            metavar="|".join(EFFORTS),
-            autocompletion=lambda: list(EFFORTS),
-            help="How many ways to follow the path are looked into, and how closely; thorough also proves how far from "
-            "the optimum the plan can be (up to five minutes).",
-        ),
-    ] = "default",
+    effort: Effort = "default",
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Write a run folder: report, trajectory, task, machine and summary."),

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from leanboom.study.comparison import Comparison, Row
     from leanboom.study.papers.experiments import Line
     from leanboom.study.papers.reproduction import Reproduction
+    from leanboom.study.pareto import Pareto
 
 EVENTS_SHOWN = 12
 WORDS = ("", "beyond the pump", "breaks a limit", "no result")  # what becomes of a row, by its rank
@@ -210,6 +211,33 @@ def _compared(row: Row, best: Row | None, simulated: bool) -> list[str]:
         "-" if seconds is None else f"{seconds:.1f}",
         "best" if row is best else WORDS[row.rank[0]],
     ]
+
+
+def pareto(console: Console, result: Pareto, out: Path | None) -> None:
+    """Print least energies over duration, a table a pump.
+
+    Args:
+        console: Where to print.
+        result: The points.
+        out: Their folder, if they have one.
+    """
+    for pump in result.pumps:
+        say(console, f"{shortened(result.task.name, 80)}: {PUMPS[pump]}, energy against duration", "bold")
+        console.print()
+        table = new_table("Duration\ns", "plan\nkJ", "pseudo-inverse\nkJ", "saving", numbers=4)
+        for point in result.curve(pump):
+            mine, theirs = point.energy, point.baseline
+            saving = "-" if not point.solved or mine is None or not theirs else f"{100.0 * (1.0 - mine / theirs):.1f} %"
+            cells = ["-" if energy is None else f"{energy / 1e3:.2f}" for energy in (mine, theirs)]
+            add_row(table, f"{point.task.duration:g}", *cells, saving)
+        show(console, table)
+        for point in result.curve(pump):
+            if not point.solved:
+                say(console, f"{point.task.duration:g} s: {shortened(point.status, 300)}.", "yellow")
+        console.print()
+    if out is not None:
+        say(console, f"{'Figure and table':<22}{shortened(str(out), 400)}")
+    say(console, f"{facts.assumed(result.task.machine)}.")
 
 
 def reproduction(console: Console, result: Reproduction, titles: dict[str, str]) -> None:

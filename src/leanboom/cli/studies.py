@@ -1,4 +1,4 @@
-"""The commands that plan many tasks: `compare` the methods on a task, `reproduce` the papers' experiments."""
+"""The commands that plan many tasks: `compare` the methods, `pareto` over durations, `reproduce` the papers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,19 @@ from typing import Annotated
 
 import typer
 
-from leanboom.cli.terminal import FlowLimit, Json, Progress, Task, complain, listed, print_json
+from leanboom.cli.terminal import (
+    Effort,
+    End,
+    FlowLimit,
+    Json,
+    Progress,
+    Start,
+    Task,
+    complain,
+    duration,
+    listed,
+    print_json,
+)
 
 
 def compare(
@@ -67,6 +79,50 @@ def compare(
     for row in result.rows:
         if row.feasible and not row.solved:
             complain(f"{row.label} from {row.start}, {row.pump}: {row.status}")
+
+
+def pareto(
+    task: Task,
+    durations: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TIMES",
+            help="Durations of the path, such as 6,8,10. By default eight, from the shortest feasible one found to 2.5 "
+            "times the task's.",
+        ),
+    ] = None,
+    pump: Annotated[str, typer.Option(metavar="NAMES", help="Whose energy counts: ls, cp or ls,cp.")] = "ls",
+    start: Start = None,
+    end: End = None,
+    flow_limit: FlowLimit = False,
+    effort: Effort = "default",
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write the points as a figure, as a table and as JSON.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Plan a task in several durations: least energy against time, the pseudo-inverse beside it."""
+    from leanboom.io import loading
+    from leanboom.report import papers_page
+    from leanboom.study import pareto as study
+
+    times = None if durations is None else [duration("durations", each) for each in listed(durations)]
+    asked = loading.load_task(task, start=start, end=end, pump_flow_limit=flow_limit or None)
+    with Progress(steps=True) as tell, papers_page.reserved(out, papers_page.PARETO):
+        result = study.pareto(asked, listed(pump), durations=times, effort=effort, progress=tell)
+        if out is not None:
+            tell("drawing", 1.0)
+            papers_page.write_pareto(result, out)
+    if as_json:
+        print_json(result.json())
+    else:
+        from leanboom.cli import result_tables
+        from leanboom.cli.console import output
+
+        result_tables.pareto(output(), result, out)
+    if not any(point.solved for point in result.points):
+        complain("no duration has a motion that keeps every limit and that the pump can deliver")
+        raise typer.Exit(1)
 
 
 def reproduce(

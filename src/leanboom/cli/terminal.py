@@ -66,6 +66,15 @@ FlowLimit = Annotated[
     bool,
     typer.Option("--pump-flow-limit", help="Keep the flow of all cylinders within the pump's max_flow at all times."),
 ]
+Effort = Annotated[
+    str,
+    typer.Option(
+        metavar="|".join(registry.EFFORTS),
+        autocompletion=lambda: list(registry.EFFORTS),
+        help="How many ways to follow the path are looked into, and how closely; thorough also proves how far from "
+        "the optimum the plan can be (up to five minutes).",
+    ),
+]
 Step = Annotated[str, typer.Option(metavar="TIME", help="Length of a stage, in seconds.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
 

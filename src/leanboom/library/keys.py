@@ -19,6 +19,7 @@ from leanboom.model.task import Task
 UNUSED = ("name", "description", "circuit", "provenance")  # of a machine: words, and what simulation alone knows
 OTHER_PUMP = {"ls": "constant_pressure", "cp": "ls_margin"}  # what a motion for a pump does not depend on
 HUNG = ("payload_along", "payload_above")
+LATER = ("limits", "timing")  # keys of tasks that earlier builds did not know; what they leave out is the default
 METHOD = "warm-started dp 1"  # changes when motions of earlier builds should be planned again
 
 
@@ -69,7 +70,8 @@ def motion_key(task: Task, pump: str, machine: str) -> str:
         pump: "ls" or "cp".
         machine: The digest of its machine.
     """
-    asked = plain(task, ("name", "machine", "source"))
+    usual = [each.name for each in fields(Task) if each.name in LATER and getattr(task, each.name) == each.default]
+    asked = plain(task, ("name", "machine", "source", *usual))
     return _digest([machine, asked, pump, METHOD, GRID, STEP])
 
 

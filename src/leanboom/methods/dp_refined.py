@@ -454,9 +454,9 @@ def slower(task: Task, factor: float) -> Task:
 
 
 def shortest_duration(
-    task: Task, grid: tuple[int, int], step: float, accuracy: float = 0.01, most: float = 16.0
+    task: Task, grid: tuple[int, int], step: float, accuracy: float = 0.01, most: float = 16.0, least: float = 1.0
 ) -> float | None:
-    """Smallest factor on a task's duration at which a feasible motion is found; None up to `most`.
+    """Smallest factor on a task's duration, from `least` on, at which a feasible motion is found; None up to `most`.
 
     Args:
         task: The task.
@@ -464,9 +464,10 @@ def shortest_duration(
         step: Length of a stage [s].
         accuracy: Relative accuracy of the factor, and the margin added to it.
         most: Largest factor tried.
+        least: Smallest factor tried.
 
     Returns:
-        The factor, margin included; 1 where the task itself is feasible.
+        The factor, margin included; `least` where that is feasible.
     """
 
     def feasible(factor: float) -> bool:
@@ -476,9 +477,9 @@ def shortest_duration(
         quick = (Search(slow, cost, grid, step, EFFORTS["quick"]) for cost in ("cp", "velocity"))
         return any(search.run_once(problem, start).feasible for search in quick)
 
-    if feasible(1.0):
-        return 1.0
-    bad, good = 1.0, 2.0
+    if feasible(least):
+        return least
+    bad, good = least, 2.0 * least
     while not feasible(good):
         bad, good = good, 2.0 * good
         if good > most:

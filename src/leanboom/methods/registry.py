@@ -74,6 +74,7 @@ class Method:
     pointwise: bool = False  # minimises its one cost at every instant, whatever is asked for
     free_start: bool = False  # finds the start by itself, and a task may ask for the best one
     ends: bool = False  # leads the redundant cylinder to the end that a task asks for
+    flow: bool = True  # takes tasks that limit the pump's flow: keeps to it, or leaves it to the judge
     exhaustive: bool = False  # looks at all feasible extensions: where it fails, a proof is worth looking for
     slow: bool = False  # takes minutes; compared on request alone
     weight: float = 1.0  # how long it takes, roughly, beside others: the longest go first
@@ -118,12 +119,12 @@ METHODS: Registry[Method] = Registry(
         "pseudospectral": Method(
             "Legendre-Gauss-Radau collocation of the smoothed problem, bootstrapped",
             "leanboom.methods.pseudospectral:plan",
-            costs=_SMOOTH, compared=_SMOOTH, weight=30.0,
+            costs=_SMOOTH, compared=_SMOOTH, flow=False, weight=30.0,
         ),
         "shooting": Method(
             "direct multiple shooting in all joints",
             "leanboom.methods.multiple_shooting:plan",
-            costs=_SMOOTH, compared=_SMOOTH, weight=60.0,
+            costs=_SMOOTH, compared=_SMOOTH, flow=False, weight=60.0,
         ),
         "dp1": Method(
             "one-state dynamic programming, velocity as control (3-DOF paper)", "leanboom.methods.dp_velocity:plan"

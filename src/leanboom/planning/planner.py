@@ -135,6 +135,7 @@ def run(
     warm_start: Sequence[Motion] = (),
     baseline: bool = True,
     check: bool = True,
+    explain: bool = True,
     progress: Progress | None = None,
 ) -> Plan:
     """The judged `Plan` of a task, with progress; arguments as in `plan`.
@@ -153,6 +154,7 @@ def run(
         warm_start: Motions of this task or of one with tighter limits; the plan is never worse than a feasible one.
         baseline: Whether to judge the actuator pseudo-inverse as well.
         check: Whether to raise where no feasible motion was found.
+        explain: Whether the status then says what is proven and which duration would do; both take a while.
         progress: Called with what happens and the share done.
 
     Returns:
@@ -183,7 +185,7 @@ def run(
         best = _single(task, cost, method, chosen, tell, settings)
     certified = proof.of(best.motion)
     solve_s = time.perf_counter() - began
-    if best.feasible or not chosen.exhaustive:
+    if best.feasible or not (chosen.exhaustive and explain):
         status = best.status_with(pump)
     else:
         status = Outcome(Kind.INFEASIBLE, _explain(best, cost, grid, step, tell))
@@ -266,6 +268,8 @@ def _check(
     if chosen is not None and task.end != "free" and not chosen.ends:
         able = " or ".join(name for name in METHODS.names() if METHODS.find(name).ends)
         problems.append(f"end = {task.end}; method {method} cannot lead the motion to an end: use {able}")
+    if chosen is not None and task.limits.pump_flow and not chosen.flow:
+        problems.append(f"limits.pump_flow = yes; method {method} knows no limit of the pump's flow: use dp or polish")
     nodes, length = value_function.sizes(grid, step, STAGE, problems)
     check_measurable(task, MOTIONS_AT_A_TIME)
     value_function.check_memory(stages.count(task.duration, length), *nodes)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from leanboom.model.task import Start
     from leanboom.study.comparison import Comparison
     from leanboom.study.papers.experiments import Line, Record, Records
+    from leanboom.study.pareto import Pareto
 
 PUMPS = {"ls": ("load-sensing pump", "#0b5c8c"), "cp": ("constant-pressure pump", "#d9931e")}
 PRINTED, OURS = "#9aa5b1", "#0b5c8c"
@@ -65,6 +66,33 @@ def trajectories(comparison: Comparison) -> bytes:
                 curves[labels[row.label]] = time, row.motion.at(time)[0], row is best
         _curves(panel, curves)
         panel.set_title(f"{comparison.task.name}, start: {_start(start)}", fontsize=10, loc="left")
+    return _png(figure)
+
+
+def durations(result: Pareto) -> bytes:
+    """Least energy over duration, and that of the pseudo-inverse, by pump.
+
+    Args:
+        result: The points.
+    """
+    figure, (panel,) = _panels(1, 4.0)
+    for pump in result.pumps:
+        name, colour = PUMPS[pump]
+        for method, style in (("least energy", "o-"), ("pseudo-inverse", "s--")):
+            pairs = [
+                (point.task.duration, 1e-3 * energy)
+                for point in result.curve(pump)
+                if (energy := point.energy if method == "least energy" else point.baseline) is not None
+            ]
+            if pairs:
+                panel.plot(*zip(*pairs, strict=True), style, color=colour, markersize=4, linewidth=1.2,
+                           alpha=1.0 if method == "least energy" else 0.6, label=f"{method}, {name}")  # fmt: skip
+    panel.axvline(result.task.duration, color=GREY, linewidth=0.8, linestyle=":", label="the task's own duration")
+    panel.set_ylim(bottom=0.0)
+    panel.set_xlabel("duration of the path [s]", fontsize=8)
+    panel.set_ylabel("pump energy [kJ]", fontsize=8)
+    panel.legend(fontsize=8, frameon=False)
+    panel.set_title(f"{result.task.name}: energy against duration", fontsize=10, loc="left")
     return _png(figure)
 
 

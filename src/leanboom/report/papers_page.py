@@ -1,8 +1,10 @@
-"""Files that hold results: the folder of a comparison, and the page of a reproduction with its figures."""
+"""Files that hold results: folders of comparisons and of energies over duration, pages of reproductions."""
 
 from __future__ import annotations
 
+import csv
 import html
+import io
 import json
 import re
 from collections.abc import Iterator, Mapping
@@ -20,19 +22,23 @@ if TYPE_CHECKING:
     from leanboom.study.comparison import Comparison
     from leanboom.study.papers.experiments import Line
     from leanboom.study.papers.reproduction import Reproduction
+    from leanboom.study.pareto import Pareto
 
 COMPARISON = ("comparison.json", "energies.png", "trajectories.png")
+PARETO = ("pareto.json", "pareto.csv", "pareto.png")
+COLUMNS: tuple[str, ...] = ("pump", "duration_s", "energy_j", "baseline_j", "status")
 PAGE, FIGURES = "results.md", "figures"
 
 Table = tuple[list[str], list[list[str]], bool]  # heads, rows, and whether the last column is text
 
 
 @contextmanager
-def reserved(out: Path | None) -> Iterator[None]:
-    """Context that reserves a place for the folder of a comparison while it is made; without a place, nothing.
+def reserved(out: Path | None, names: tuple[str, ...] = COMPARISON) -> Iterator[None]:
+    """Context that reserves a place for a folder of results while they are made; without a place, nothing.
 
     Args:
         out: The folder.
+        names: Its files: `COMPARISON` or `PARETO`.
 
     Raises:
         InputError: The folder holds something else, cannot be written, or another run is about to.
@@ -40,13 +46,14 @@ def reserved(out: Path | None) -> Iterator[None]:
     if out is None:
         yield
         return
-    _check(out)
+    _check(out, names)
     with folders.reserved(out):
         yield
 
 
-def _check(out: Path) -> None:
-    folders.check(out, COMPARISON, lambda folder: True, "that of an earlier comparison")
+def _check(out: Path, names: tuple[str, ...]) -> None:
+    kind = "comparison" if names is COMPARISON else "pareto"
+    folders.check(out, names, lambda folder: True, f"that of an earlier {kind}")
 
 
 def write_comparison(comparison: Comparison, out: Path) -> Path:
@@ -62,10 +69,24 @@ def write_comparison(comparison: Comparison, out: Path) -> Path:
     Raises:
         InputError: The folder holds something else, or cannot be written.
     """
-    _check(out)
+    _check(out, COMPARISON)
     text = json.dumps(comparison.json(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     pictures = figures.energies(comparison), figures.trajectories(comparison)
     folders.put(out, dict(zip(COMPARISON, (text.encode(), *pictures), strict=True)))
+    return out
+
+
+def write_pareto(result: Pareto, out: Path) -> Path:
+    """Write energies over duration as JSON, as a table and as a figure; arguments as in `write_comparison`."""
+    _check(out, PARETO)
+    rows = result.json()
+    text = json.dumps(rows, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    table = io.StringIO()
+    writer = csv.DictWriter(table, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    contents = text.encode(), table.getvalue().encode(), figures.durations(result)
+    folders.put(out, dict(zip(PARETO, contents, strict=True)))
     return out
 
 
