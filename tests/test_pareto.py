@@ -72,9 +72,11 @@ def test_a_slower_motion_is_made_again_from_a_better_faster_one(found, monkeypat
         return fast.plan if task == fast.task else slow.plan
 
     monkeypatch.setattr(planner, "run", planned)
-    monkeypatch.setattr(study.ranking, "beats", lambda one, other, cost: True)
     study.pareto(VERTICAL, "cp", durations=[5.0, 9.0], **QUICK)
-    assert asked == [(9.0, 0), (5.0, 1), (9.0, 1)]
+    assert asked == [(9.0, 0), (5.0, 1)]  # no better
+    monkeypatch.setattr(study, "gains", lambda before, after, share: True)
+    study.pareto(VERTICAL, "cp", durations=[5.0, 9.0], **QUICK)
+    assert asked[2:] == [(9.0, 0), (5.0, 1), (9.0, 1)]
 
 
 def test_a_duration_too_short_for_the_pump_is_told_as_such():

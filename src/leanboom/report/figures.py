@@ -91,7 +91,7 @@ def durations(result: Pareto) -> bytes:
     panel.set_ylim(bottom=0.0)
     panel.set_xlabel("duration of the path [s]", fontsize=8)
     panel.set_ylabel("pump energy [kJ]", fontsize=8)
-    panel.legend(fontsize=8, frameon=False)
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     panel.set_title(f"{result.task.name}: energy against duration", fontsize=10, loc="left")
     return _png(figure)
 

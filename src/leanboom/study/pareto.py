@@ -14,9 +14,8 @@ import numpy as np
 
 from leanboom.components.costs import PUMPS
 from leanboom.errors import InfeasibleError, InputError
-from leanboom.evaluation import ranking
-from leanboom.evaluation.evaluate import evaluate
-from leanboom.methods.dp_refined import shortest_duration, slower
+from leanboom.evaluation.evaluate import Evaluation, evaluate
+from leanboom.methods.dp_refined import gains, shortest_duration, slower
 from leanboom.methods.registry import GRID, STEP
 from leanboom.model import motion
 from leanboom.model.motion import Motion
@@ -29,6 +28,7 @@ from leanboom.progress import Progress, quiet
 from leanboom.quantities import ranges
 from leanboom.quantities.ranges import noted
 
+GAIN = 1e-4  # a motion is made again from one that takes less by more than this share
 COUNT = 8  # durations, if none are given
 LONGEST = 2.5  # times a task's duration that the last of these is
 SHORTEST, ACCURACY = 1.0 / 8.0, 0.05  # least factor that is tried on the duration, and accuracy of the shortest one
@@ -164,10 +164,15 @@ def _curve(tasks: list[Task], pump: str, settings: dict[str, Any], tell: Progres
         here = found[i].plan
         for seed in _motions(found[i - 1], found[i].task):
             judged = evaluate(found[i].task, seed)
-            if here is None or ranking.beats(judged, here.evaluation, pump):
+            if judged.feasible and (here is None or worse(here.evaluation, judged, pump)):
                 tell(f"{pump}: {found[i].task.duration:g} s again, from a faster motion", i / len(tasks))
                 found[i] = _point(found[i].task, pump, [seed], settings)
     return found
+
+
+def worse(one: Evaluation, other: Evaluation, pump: str) -> bool:
+    """Whether a judged motion breaks a limit, or takes clearly more energy than another, which keeps them all."""
+    return not one.feasible or gains(one.energy(pump), other.energy(pump), GAIN)
 
 
 def _point(task: Task, pump: str, seeds: list[Motion], settings: dict[str, Any]) -> Point:
