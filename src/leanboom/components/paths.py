@@ -214,17 +214,32 @@ class Retimed:
 
 def geometry(path: Lines | Spline, passed: np.ndarray) -> Values:
     """Tool position [m] and its two derivatives over a path's own time [s], as `Retimed` follows the path."""
+    begins, coefficients = cubics(path)
+    piece = np.searchsorted(begins[1:], passed, side="right")
+    c = coefficients[piece]
+    since = (passed - begins[piece])[:, None]
+    position = c[:, 0] + since * (c[:, 1] + since * (c[:, 2] + since * c[:, 3]))
+    return position, c[:, 1] + since * (2.0 * c[:, 2] + 3.0 * since * c[:, 3]), 2.0 * c[:, 2] + 6.0 * since * c[:, 3]
+
+
+@lru_cache(maxsize=16)
+def cubics(path: Lines | Spline) -> tuple[np.ndarray, np.ndarray]:
+    """The pieces of a path over its own time, as `Retimed` follows it.
+
+    Returns:
+        When they begin [s], (pieces,), and their coefficients in powers of the time since, (pieces, 4, 3).
+    """
     if isinstance(path, Spline):
-        return path.values(passed)
-    points = np.asarray(path.points, dtype=np.float64)
-    ends = np.cumsum(path.durations)
-    segment = np.minimum(np.searchsorted(ends, passed, side="right"), len(ends) - 1)
-    length = np.asarray(path.durations)[segment]
-    s = np.clip((passed - (ends[segment] - length)) / length, 0.0, 1.0)
-    step = points[segment + 1] - points[segment]
-    shares = s * s * (3.0 - 2.0 * s), 6.0 * s * (1.0 - s) / length, (6.0 - 12.0 * s) / length**2
-    position, first, second = (share[:, None] * step for share in shares)
-    return position + points[segment], first, second
+        coefficients = np.ascontiguousarray(np.swapaxes(_cubic(path.points, path.times).c, 0, 1)[:, ::-1])
+    else:
+        points, length = np.asarray(path.points, dtype=np.float64), np.asarray(path.durations)[:, None]
+        step = np.diff(points, axis=0)
+        powers = (points[:-1], np.zeros_like(step), 3.0 * step / length**2, -2.0 * step / length**3)
+        coefficients = np.stack(powers, axis=1)
+    begins = path.breaks[:-1]
+    for array in (begins, coefficients):
+        array.setflags(write=False)
+    return begins, coefficients
 
 
 def _between(rates: tuple[float, ...]) -> np.ndarray:

@@ -235,7 +235,10 @@ class Answer:
     raw: str  # the same in the solver's own words, for the log
 
 
-def optimise(solver: Any, guess: np.ndarray, parameters: np.ndarray, bounds: tuple, row_bounds: tuple) -> Answer:
+def optimise(
+    solver: Any, guess: np.ndarray, parameters: np.ndarray, bounds: tuple, row_bounds: tuple,
+    right: np.ndarray | None = None,
+) -> Answer:  # fmt: skip
     """Solve an assembled program.
 
     Args:
@@ -244,8 +247,9 @@ def optimise(solver: Any, guess: np.ndarray, parameters: np.ndarray, bounds: tup
         parameters: (nodes, parameters).
         bounds: Lower and upper bounds of the variables, (nodes, variables) each.
         row_bounds: Lower and upper bounds of the rows, (nodes, rows) each.
+        right: Right sides of the linear equations, (count,); None: zeros.
     """
-    equations = np.zeros(solver.size1_in("lbg") - row_bounds[0].size)
+    equations = np.zeros(solver.size1_in("lbg") - row_bounds[0].size) if right is None else right
     try:
         answer = solver(
             x0=np.clip(guess, *bounds).ravel(), p=parameters.ravel(), lbx=bounds[0].ravel(), ubx=bounds[1].ravel(),
