@@ -95,7 +95,7 @@ def plan(
         )  # fmt: skip
         if certified and result.certificate is None and result.evaluation.feasible:
             proof = certificate.certify(
-                asked, pump, motion=result.motion, step=stage, seconds=limit or certificate.SECONDS,
+                result.task, pump, motion=result.motion, step=stage, seconds=limit or certificate.SECONDS,
                 gap=certificate.GAP if least is None else least, progress=tell,
             )  # fmt: skip
             result = replace(result, certificate=proof)
@@ -150,7 +150,7 @@ def certify(
     with Progress() as tell:
         result = planner.run(asked, pump=pump, step=stage, baseline=False, progress=tell)
         proof = certificate.certify(
-            asked, pump, motion=result.motion, step=stage, seconds=limit, gap=least, progress=tell
+            result.task, pump, motion=result.motion, step=stage, seconds=limit, gap=least, progress=tell
         )
     if as_json:
         print_json(summaries.summary(result) | proof.json())
@@ -211,7 +211,7 @@ def simulate(
         if kept is None:
             asked = loading.load_task(task)
             plan = planner.run(asked, pump=pump or "ls", method=method or "dp", check=False, progress=tell)
-            result = closed_loop.simulate(asked, plan.motion, plan.pump, controller=controller, progress=tell)
+            result = closed_loop.simulate(plan.task, plan.motion, plan.pump, controller=controller, progress=tell)
             if out is not None:
                 tell("writing the run folder", 1.0)
                 run_folder.write(plan, out, simulation=result)

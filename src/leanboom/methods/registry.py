@@ -75,6 +75,7 @@ class Method:
     free_start: bool = False  # finds the start by itself, and a task may ask for the best one
     ends: bool = False  # leads the redundant cylinder to the end that a task asks for
     flow: bool = True  # takes tasks that limit the pump's flow: keeps to it, or leaves it to the judge
+    timing: bool = False  # plans on any timing of a path from a given motion: a task may leave its timing to be planned
     exhaustive: bool = False  # looks at all feasible extensions: where it fails, a proof is worth looking for
     slow: bool = False  # takes minutes; compared on request alone
     weight: float = 1.0  # how long it takes, roughly, beside others: the longest go first
@@ -109,7 +110,7 @@ METHODS: Registry[Method] = Registry(
             "dynamic programming over all extensions, refined in tubes and polished",
             "leanboom.methods.dp_refined:plan",
             compared=("ls", "cp", "actuator", "velocity", "extension"),
-            free_start=True, ends=True, exhaustive=True, weight=6.0, prepare=_KERNELS,
+            free_start=True, ends=True, timing=True, exhaustive=True, weight=6.0, prepare=_KERNELS,
         ),
         "polish": Method(
             "nonlinear programming alone: the polish started from the pseudo-inverse",

@@ -8,8 +8,9 @@ from, the judge measures it, and the best feasible one wins.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -19,9 +20,10 @@ from leanboom.certificate.certificate import Certificate
 from leanboom.components.costs import COSTS, PUMPS
 from leanboom.dynamic_programming import value_function
 from leanboom.errors import InfeasibleError, InputError
-from leanboom.evaluation.evaluate import Evaluation, check_measurable, evaluate
+from leanboom.evaluation import ranking
+from leanboom.evaluation.evaluate import Evaluation, check_measurable, evaluate, judged_cost
 from leanboom.methods import closed_cycle, pseudo_inverse
-from leanboom.methods.dp_refined import shortest_duration, stage_length
+from leanboom.methods.dp_refined import gains, shortest_duration, stage_length
 from leanboom.methods.registry import EFFORTS, GRID, METHODS, STEP, Method, Settings
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import Kind, Outcome
@@ -30,8 +32,11 @@ from leanboom.planning import cycles
 from leanboom.problem import least_flow, stages, starts
 from leanboom.progress import Progress, quiet
 from leanboom.quantities.ranges import STAGE, noted, one_of
+from leanboom.timing import free, shortest
 
 MOTIONS_AT_A_TIME = 8  # judged motions that a search holds at a time
+TIMINGS, WORTH = 3, 2e-3  # timings tried one after the other at most, while each saves more than this share
+LEAST_STAGE = 1e-3  # [s]
 PROOF_SECONDS = 300.0  # time that `thorough` takes for a proof at most [s]
 PROVEN = {"ls": 1.0, "cp": 0.3}  # gap at which it ends [%]
 
@@ -112,9 +117,11 @@ def plan(
         The motion; its `status` says whether it keeps every limit, and whether the pump can deliver it.
 
     Raises:
-        InputError: For arguments or tasks that cannot be used.
+        InputError: For arguments or tasks that cannot be used, and for one whose timing is planned: `run` has it.
         InfeasibleError: If `check` and no motion keeps every limit, with the best one as its `plan`.
     """
+    if task.timing != "fixed":
+        raise InputError(f"timing = {task.timing}; a motion alone has no timing of the path: use leanboom.run(task)")
     return run(
         task, pump=pump, cost=cost, method=method, grid=grid, step=step, effort=effort, seconds=seconds, gap=gap,
         warm_start=warm_start, baseline=False, check=check,
@@ -139,6 +146,8 @@ def run(
     progress: Progress | None = None,
 ) -> Plan:
     """The judged `Plan` of a task, with progress; arguments as in `plan`.
+
+    Where the timing of the task is `free` or `shortest`, the plan's task has the timing found, as a retimed path.
 
     Args:
         task: What to do.
@@ -170,6 +179,12 @@ def run(
     gap = PROVEN[pump] if gap is None else gap
     certificate.check(pump, step, seconds, gap)
     tell = progress or quiet
+    if task.timing != "fixed":
+        again = partial(
+            run, pump=pump, cost=cost, method=method, grid=grid, effort=effort, seconds=seconds, gap=gap,
+            baseline=baseline, progress=progress,
+        )  # fmt: skip
+        return _timed(task, cost, step, warm_start, tell, again, check)
     tell("loading kernels", 0.0)
     with compiling.told(tell):
         value_function.prepare()
@@ -218,6 +233,43 @@ def _single(task: Task, cost: str, name: str, method: Method, tell: Progress, se
 def _baseline(task: Task, start: float) -> Evaluation | None:
     """The actuator pseudo-inverse from a start [m], its end free, judged; None where it cannot follow the path."""
     return cycles.baseline(task, start) if task.legs else pseudo_inverse.baseline(replace(task, end="free"), start)
+
+
+def _timed(
+    task: Task, cost: str, step: float, warm_start: Sequence[Motion], tell: Progress, again: Callable[..., Plan],
+    check: bool,
+) -> Plan:  # fmt: skip
+    """The plan of a task whose timing is planned, too.
+
+    Args:
+        task: The task.
+        cost: What to minimise.
+        step: Length of a stage [s].
+        warm_start: Motions of the task by the path's own timing.
+        tell: Called with what happens and the share done.
+        again: `run`, for a task with a fixed timing.
+        check: Whether to raise where no feasible motion was found.
+    """
+    began = time.perf_counter()
+    if task.timing == "shortest":
+        fastest = shortest.plan(task, cost, tell)
+        best = again(
+            fastest.task, step=max(fastest.motion.step, LEAST_STAGE), warm_start=(fastest.motion,), check=check
+        )
+    else:
+        best = again(replace(task, timing="fixed"), step=step, warm_start=warm_start, check=False)
+        for _ in range(TIMINGS):
+            count, before = stages.count(task.duration, stage_length(task, cost, step)), best
+            for each in free.proposals(best.evaluation, task, cost, count, tell):
+                found = again(each.task, step=step, warm_start=(each.motion,), check=False)
+                best = found if ranking.beats(found.evaluation, best.evaluation, cost) else best
+            spent, left = (judged_cost(each.evaluation, cost) for each in (before, best))
+            if best is before or (before.evaluation.feasible and not gains(spent, left, WORTH)):
+                break
+        if check and not best.evaluation.feasible:
+            raise InfeasibleError(best.status, plan=best, evaluation=best.evaluation)
+    motion = replace(best.motion, solve_s=time.perf_counter() - began)
+    return replace(best, motion=motion, evaluation=replace(best.evaluation, motion=motion))
 
 
 @dataclass(slots=True)
@@ -270,6 +322,13 @@ def _check(
         problems.append(f"end = {task.end}; method {method} cannot lead the motion to an end: use {able}")
     if chosen is not None and task.limits.pump_flow and not chosen.flow:
         problems.append(f"limits.pump_flow = yes; method {method} knows no limit of the pump's flow: use dp or polish")
+    if chosen is not None and task.timing != "fixed" and not chosen.timing:
+        able = " or ".join(name for name in METHODS.names() if METHODS.find(name).timing)
+        problems.append(f"timing = {task.timing}; method {method} keeps the timing of the path: use {able}")
+    if task.timing == "free" and cost in COSTS and cost not in PUMPS:
+        problems.append(
+            f"timing = free; a timing is planned for the energy of a pump, {' or '.join(PUMPS)}, not {cost}"
+        )
     nodes, length = value_function.sizes(grid, step, STAGE, problems)
     check_measurable(task, MOTIONS_AT_A_TIME)
     value_function.check_memory(stages.count(task.duration, length), *nodes)

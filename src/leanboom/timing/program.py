@@ -43,6 +43,7 @@ PIECE = 13  # parameters of a point of the path: where its piece begins, and its
 PARAMETERS = 2 * PIECE + 5  # two points, whole turns of the base, sharpness, e, damping, weight of time
 OPTIONS = {"max_iter": 400, "tol": 1e-7, "acceptable_tol": 1e-5, "acceptable_iter": 10}
 LEAST_INTERVAL = 1e-5  # [s]
+BRISK = 0.1  # share of the duration in which a speed that doubles is damped like an acceleration limit used up
 SHARE = 0.9999  # of velocity, acceleration and flow limits
 
 
@@ -142,9 +143,11 @@ class Program:
             if self.cost != "time":
                 smooth = p[2 * PIECE + 1], p[2 * PIECE + 2]
                 power = power + 0.5 * smoothed_nlp.smooth_power(crane, pose, moving, self.cost, *smooth)
-        # The last term leaves nothing undetermined, as where a slewing base alone is at its limits.
-        hard = cylinders[-1].acceleration_limit
-        cost = h * (p[2 * PIECE + 4] + power + p[2 * PIECE + 3] * (u / hard) ** 2)
+        # Nothing stays undetermined: strokes where a slewing base alone is at its limits, speed where it costs nothing.
+        restless = (u / cylinders[-1].acceleration_limit) ** 2
+        if self.cost != "time":
+            restless = restless + (BRISK * self.shape.duration * alpha) ** 2
+        cost = h * (p[2 * PIECE + 4] + power + p[2 * PIECE + 3] * restless)
         return cost, ca.vertcat(*rows)
 
     def _plane(self, piece: Any, turns: Any, tau: Any, omega: Any, alpha: Any) -> cranes.Plane:
