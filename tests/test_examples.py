@@ -14,7 +14,7 @@ EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("*.py"
 
 
 def test_examples_are_numbered():
-    assert [path.name[:3] for path in EXAMPLES] == [f"{number:02d}_" for number in range(1, 12)]
+    assert [path.name[:3] for path in EXAMPLES] == [f"{number:02d}_" for number in range(1, 13)]
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)

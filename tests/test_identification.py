@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from leanboom.identification.logs.checks import check
 from leanboom.identification.logs.conditioning import condition
 from leanboom.identification.logs.reading import read_log
 from leanboom.io.loading import dump_machine
+from leanboom.report.identification import field_units
 from leanboom.report.identification import page as identification_page
 
 DAY = "2026-01-31"
@@ -144,8 +147,22 @@ def test_the_machine_file_says_what_was_identified_when_and_from_which_log(found
     assert DAY in marked["simulation.delay"].note and found.logs[0].digest[:12] in marked["simulation.delay"].note
     assert "in sums" in marked["bodies.grapple.mass"].note
     page = (tmp_path / "fitted.html").read_text(encoding="utf-8")
-    assert "extension_force" in page and "NaN" not in page.split("<script>")[0]
+    assert "NaN" not in page.split("<script>")[0]
+    assert re.search(r'extension_force</th><td class="n">[\d.]+ kN<', page)  # not 12345 of nothing
+    assert re.search(r'dead_zone</th>(<td class="n">5[23][.\d]*</td>){3}<td>%<', page)
     assert (tmp_path / "fitted_feed_forward.csv").read_text(encoding="utf-8").startswith("joint,velocity_m_s,command")
+
+
+def test_every_value_is_shown_in_a_unit_of_the_field(found):
+    plain = ("coefficient", "ratio")
+    assert all(field_units.of_value(each.name)[0] or each.name.endswith(plain) for each in found.estimates)
+    assert field_units.shown("simulation.bulk_modulus", 1e9) == "1000"
+
+
+def test_the_draft_of_the_log_crane_and_its_columns_are_read():
+    folder = Path(__file__).parents[1] / "examples" / "patu655"
+    machine = lb.load_machine(folder / "machine.yaml")
+    assert "lift_command" in channels.read_map(folder / "columns.yaml", machine)
 
 
 def test_json_has_the_promised_keys_and_only_finite_numbers(found):
@@ -249,16 +266,17 @@ def test_a_log_without_motion_is_refused(slow, draft, tmp_path):
 def test_a_column_map_reads_other_names_units_and_signs(slow, draft, tmp_path):
     path = tmp_path / "columns.yaml"
     path.write_text(
-        "time: t\nlift_position: {column: 'z1 [deg]', scale: -1}\nlift_command: {column: U1, zero: 5, scale: 0.2}\n",
+        "time: t\nlift_position: {column: 'z1 [deg]', scale: -1}\n"
+        "lift_command: {column: 'U1 [V]', zero: 5, scale: 0.2}\n",
         encoding="utf-8",
     )
     slow["z1 [deg]"] = -np.degrees(slow.pop("lift_rad"))
-    slow["U1"] = 5.0 + 5.0 * slow.pop("lift_command")
+    slow["U1 [V]"] = 5.0 + 5.0 * slow.pop("lift_command")
     slow["t"] = slow.pop("time_s")
     named = channels.read_map(path, draft)
     log = read_log(known.write_log(tmp_path / "log.csv", slow), draft, named)
     assert log.signals["lift_position"] == pytest.approx(-np.radians(slow["z1 [deg]"]), abs=1e-6)
-    assert log.signals["lift_command"] == pytest.approx(0.2 * (slow["U1"] - 5.0), abs=1e-5)
+    assert log.signals["lift_command"] == pytest.approx(0.2 * (slow["U1 [V]"] - 5.0), abs=1e-5)
 
 
 @pytest.mark.parametrize(

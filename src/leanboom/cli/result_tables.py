@@ -278,21 +278,26 @@ def identified(console: Console, found: Identification, out: Path | None) -> Non
     """
     from rich.table import Table
 
-    table = Table(title=f"{found.draft.name}: values told by the logs, SI units")
+    from leanboom.report.identification import field_units
+
+    table = Table(title=f"{found.draft.name}: values told by the logs")
     for name in ("value", "95 % from", "to"):
         if not table.columns:
             table.add_column("parameter")
         table.add_column(name, justify="right")
+    table.add_column("unit")
     for each in found.estimates:
         if each.identifiable and each.low is not None and each.high is not None:
-            table.add_row(each.name, f"{each.value:.5g}", f"{each.low:.5g}", f"{each.high:.5g}")
+            numbers = (field_units.shown(each.name, value) for value in (each.value, each.low, each.high))
+            table.add_row(each.name, *numbers, field_units.of_value(each.name)[0])
     console.print(table)
     errors = Table(title="Errors on validation data")
     errors.add_column("signal")
     errors.add_column("rms", justify="right")
     errors.add_column("of full scale", justify="right")
     for each in found.fits:
-        errors.add_row(each.signal, f"{each.rms:.4g}", f"{each.rms_percent:.2f} %")
+        unit, scale = field_units.of_signal(each.signal)
+        errors.add_row(each.signal, f"{scale * each.rms:.3g} {unit}", f"{each.rms_percent:.2f} %")
     console.print(errors)
     untold = [each.name for each in found.estimates if not each.identifiable]
     if untold:

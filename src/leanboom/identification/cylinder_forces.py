@@ -31,6 +31,7 @@ PRIOR_LEVER, PRIOR_HEIGHT = 0.5, 0.3  # [m]
 STEP_TRAVEL = 1.0  # [m], extensions that travel less do not show friction steps
 KNOTS, FINE_KNOTS = 0.1, 0.01  # [m], of the free friction profile, and of the one that stands for steps
 STEP_CHANGE = 1e-3  # [m], for derivatives
+LISTED = 6  # pairs of base parameters that are told together
 WORTH = 0.97  # steps are kept if they leave less than this share of the extension's residual
 
 
@@ -407,11 +408,14 @@ class _Problem:
         size = np.sqrt(np.maximum(np.diag(shared), 1e-30))
         names = list(BASE)
         remarks = [f"base parameters: rank {rank} of {len(BASE)}, condition number {conditioned:.3g}"]
-        remarks += [
-            f"{names[i]} and {names[j]} are told together (correlation {shared[i, j] / size[i] / size[j]:.2f})"
-            for i in range(len(names)) for j in range(i)
-            if size[i] > 1e-12 and size[j] > 1e-12 and abs(shared[i, j]) > 0.9 * size[i] * size[j]
-        ]  # fmt: skip
+        pairs = sorted(
+            ((float(shared[i, j] / size[i] / size[j]), names[i], names[j])
+             for i in range(len(names)) for j in range(i)
+             if size[i] > 1e-12 and size[j] > 1e-12 and abs(shared[i, j]) > 0.9 * size[i] * size[j]),
+            key=lambda pair: -abs(pair[0]),
+        )  # fmt: skip
+        remarks += [f"{a} and {b} are told together (correlation {r:.2f})" for r, a, b in pairs[:LISTED]]
+        remarks += [f"{len(pairs) - LISTED} more pairs are told together"] if len(pairs) > LISTED else []
         fits, series = [], {}
         for i, each in enumerate(self.rows):
             model = self._predict(self.x, i)[0]
@@ -430,7 +434,8 @@ class _Problem:
     def _estimate(self, name: str, value: float, row: np.ndarray, variance: np.ndarray, posterior: np.ndarray,
                   factor: float, motion: str) -> Estimate:  # fmt: skip
         before = float(row @ (self._spread**2 * row))
-        known = before > 0.0 and float(row @ posterior @ row) < KNOWN * before
+        left = max(float(row @ posterior @ row), float(row @ variance @ row))
+        known = before > 0.0 and left < KNOWN * before
         half = factor * float(np.sqrt(max(row @ variance @ row, 0.0)))
         note = (
             ""

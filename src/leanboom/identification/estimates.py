@@ -6,7 +6,7 @@ covariance is that of a jackknife over blocks of time: how the values change whe
 other, and is no narrower where few blocks tell a value.
 
 Weak priors at the draft's values keep in place what the data do not tell. A value counts as identifiable if the data
-leave less than a twentieth of its prior variance.
+leave less than a twentieth of its prior variance, and its own is no larger.
 """
 
 from __future__ import annotations

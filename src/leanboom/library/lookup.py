@@ -22,7 +22,7 @@ from leanboom.errors import InfeasibleError, InputError
 from leanboom.evaluation.evaluate import Evaluation, evaluate
 from leanboom.io import loading
 from leanboom.library import keys, specification
-from leanboom.library.store import MACHINE, Entry, Store
+from leanboom.library.store import MACHINE, Choice, Entry, Store
 from leanboom.model import motion
 from leanboom.model.machine import Machine
 from leanboom.model.motion import Motion
@@ -162,8 +162,7 @@ class Library:
         """The nearest way, and how far it is away [m]."""
         within = FIRST_LOOK
         while within < FAR:
-            near = self.store.ways_near(origin, goal, within)
-            best = min(near, key=lambda each: each[1], default=None)
+            best = self.store.nearest_way(origin, goal, within)
             if best is not None and best[1] <= within:
                 return best
             within *= FARTHER
@@ -171,7 +170,7 @@ class Library:
 
     def _fitting(self, way: int, pump: str, payload: float, longest: float | None, extension: float | None) -> Entry:
         """The motion of least energy along a way that fits."""
-        there = self.store.entries("way = ? AND pump = ? AND segment NOTNULL", (way, pump))
+        there = self.store.choices(way, pump)
         if not there:
             why = self.store.entries("way = ? AND pump = ?", (way, pump))
             said = f": {why[0].status}" if why else f" with pump {pump}"
@@ -186,11 +185,16 @@ class Library:
             first = min(each.duration for each in heavy if each.payload == least)
             raise InfeasibleError(f"max_duration = {longest:g} s; the quickest stored motion there takes {first:g} s")
         if extension is not None:
-            nearest = {}
-            for each in sorted(quick, key=lambda each: -abs((each.start_m or 0.0) - (extension or 0.0))):
-                nearest[each.duration] = each
+            nearest: dict[float, Choice] = {}
+            for each in quick:
+                best = nearest.get(each.duration)
+                if best is None or abs(each.start_m - extension) < abs(best.start_m - extension):
+                    nearest[each.duration] = each
             quick = list(nearest.values())
-        return min(quick, key=lambda each: each.energy_j or 0.0)
+        chosen = min(quick, key=lambda each: each.energy_j)
+        for entry in self.store.entries("key = ?", (chosen.key,)):
+            return entry
+        raise InputError(f"library = {self.store.folder}; a build has taken motion {chosen.key} out: ask again")
 
 
 def task_of(entry: Entry, machine: Machine, start: float | None = None) -> Task:

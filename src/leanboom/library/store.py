@@ -18,7 +18,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -90,6 +90,16 @@ class Entry:
     row: int | None
 
 
+class Choice(NamedTuple):
+    """What a query looks at of a motion: made many times a query, so no more than a tuple."""
+
+    key: str
+    payload: float  # [kg]
+    duration: float  # [s]
+    start_m: float  # [m]
+    energy_j: float  # [J]
+
+
 _WAY = ("origin_x", "origin_y", "origin_z", "goal_x", "goal_y", "goal_z")
 _OWN = (
     "key", "machine", "pump", "payload", "duration", "start", "start_m", "end_m", "solved", "status", "energy_j",
@@ -100,6 +110,14 @@ _SELECT = (
     "FROM motions JOIN ways ON ways.id = motions.way "
 )
 _VELOCITIES = "SELECT velocities.key, step, velocities.start, velocity FROM velocities"
+_SQUARES = [f"(ways.{name} - ?{i}) * (ways.{name} - ?{i})" for i, name in enumerate(_WAY, 1)]
+_BOX = ("origin_x", "origin_y", *_WAY[3:])
+_NEAREST = (
+    f"SELECT ways.id, max({' + '.join(_SQUARES[:3])}, {' + '.join(_SQUARES[3:])}) AS apart "
+    "FROM near JOIN ways USING (id) WHERE "
+    + " AND ".join(f"{name}0 <= ?{2 * i + 7} AND {name}1 >= ?{2 * i + 8}" for i, name in enumerate(_BOX))
+    + " ORDER BY apart LIMIT 1"
+)
 _HELD, _PLACED = "SELECT key FROM velocities", "SELECT key FROM motions WHERE segment NOTNULL"
 _NUMBERS = "<f8"
 
@@ -226,23 +244,28 @@ class Store:
             ).fetchall()
         return [_entry(row) for row in rows]
 
-    def ways_near(self, origin: Sequence[float], goal: Sequence[float], within: float) -> list[tuple[int, float]]:
-        """Ways near another one: their numbers, and the larger distance of their ends [m].
+    def choices(self, way: int, pump: str) -> list[Choice]:
+        """What there is to choose from along a way with a pump: motions that solve their tasks.
+
+        Args:
+            way: Number of the way.
+            pump: "ls" or "cp".
+        """
+        select = "SELECT key, payload, duration, start_m, energy_j FROM motions WHERE way = ? AND pump = ?"
+        with self._explained():
+            return [Choice(*row) for row in self._index.execute(f"{select} AND segment NOTNULL", (way, pump))]
+
+    def nearest_way(self, origin: Sequence[float], goal: Sequence[float], within: float) -> tuple[int, float] | None:
+        """The way nearest to another one: its number, and the larger distance of their ends [m]; None if none is near.
 
         Args:
             origin, goal: Ends of the other way [m].
             within: Distance along every axis [m].
         """
         box = [edge for value in (*origin[:2], *goal) for edge in (value + within, value - within)]
-        asked = " AND ".join(f"{name}0 <= ? AND {name}1 >= ?" for name in ("origin_x", "origin_y", *_WAY[3:]))
-        select = (
-            f"SELECT ways.id, {', '.join('ways.' + name for name in _WAY)} FROM near JOIN ways USING (id) WHERE {asked}"
-        )
         with self._explained():
-            found = self._index.execute(select, box).fetchall()
-        there = (*origin, *goal)
-        apart = [(row[0], [a - b for a, b in zip(row[1:], there, strict=True)]) for row in found]
-        return [(number, max(_length(d[:3]), _length(d[3:]))) for number, d in apart]
+            found = self._index.execute(_NEAREST, (*origin, *goal, *box)).fetchone()
+        return None if found is None else (found[0], float(found[1]) ** 0.5)
 
     def add(self, entries: Sequence[tuple[Entry, Motion | None]]) -> None:
         """Write motions and what the index says of them; once this returns they are there to stay.
@@ -454,7 +477,3 @@ def _insert(index: sqlite3.Connection, entry: Entry, segment: int | None, row: i
 def _digest(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _length(vector: Sequence[float]) -> float:
-    return float(sum(value * value for value in vector)) ** 0.5

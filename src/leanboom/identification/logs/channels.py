@@ -136,13 +136,17 @@ def match(
                 f"{file}: column {name} of channel {channel} is missing; {suggestion(name, tuple(headers))}"
             )
             continue
-        unit = entry["unit"] or _stated(name)
-        factor = _factor(unit, kind_of(channel))
+        unit, kind = entry["unit"] or _stated(name), kind_of(channel)
+        factor = _factor(unit, kind)
+        if factor is None and not entry["unit"] and entry["scale"] != 1.0:
+            unit, factor = "", 1.0  # such as volts of a command: the scale says what they mean
         if factor is None:
-            kind = kind_of(channel)
-            problems.append(f"{channel}: unit = {unit}; must be {', '.join(kind.units)}{slip(f'1 {unit}', kind)}")
+            other = "" if entry["unit"] else f"; or give a scale to {kind.unit or 'shares'}"
+            problems.append(
+                f"{channel}: unit = {unit}; must be {', '.join(kind.units)}{slip(f'1 {unit}', kind)}{other}"
+            )
             continue
-        found[channel] = Column(channel, name, unit or kind_of(channel).unit, factor * entry["scale"], entry["zero"])
+        found[channel] = Column(channel, name, unit or kind.unit, factor * entry["scale"], entry["zero"])
     if problems:
         raise InputError("\n".join(problems))
     known = channels_of(machine)

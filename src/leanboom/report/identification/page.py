@@ -11,14 +11,7 @@ from leanboom.identification.identify import Identification
 from leanboom.io.loading import dump_machine
 from leanboom.report import rendering
 from leanboom.report.charts import COLOURS, POINTS, PUMP_COLOUR, chart, rounded
-
-UNITS = {
-    "force": ("kN", 1e-3),
-    "velocity": ("m/s", 1.0),
-    "flow": ("l/min", 6e4),
-    "supply": ("MPa", 1e-6),
-    "cylinder": ("m", 1.0),
-}
+from leanboom.report.identification import field_units
 
 
 def files(found: Identification, out: Path) -> dict[str, bytes]:
@@ -50,6 +43,7 @@ def page(found: Identification, out: Path) -> str:
         "identification",
         _data(found),
         found=found,
+        units=field_units,
         told=told,
         untold=[each for each in found.estimates if not each.identifiable],
         solved=not found.findings,
@@ -72,7 +66,7 @@ def _data(found: Identification) -> dict[str, Any]:
         # Rows of several logs follow each other; samples left out leave gaps in their time.
         along = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(time), 0.0))])
         at = np.unique(np.linspace(0, along.size - 1, min(POINTS, along.size)).round().astype(int))
-        unit, scale = UNITS[signal.rpartition("_")[2]]
+        unit, scale = field_units.of_signal(signal)
         colour = COLOURS.get(signal.partition("_")[0], PUMP_COLOUR)
         used = training[at]
         lines = {
