@@ -14,7 +14,7 @@ _SIGNALS = {
     "cylinder": ("mm", 1e3),
 }
 _DEGREES = 57.29577951308232
-_VALUES = {  # by the last part of a name
+_VALUES = {  # by the last part of a name, or its last word
     "mass": ("kg", 1.0),
     "along": ("m", 1.0),
     "above": ("m", 1.0),
@@ -29,7 +29,7 @@ _VALUES = {  # by the last part of a name
     "bulk_modulus": ("MPa", 1e-6),
     "ls_margin": ("MPa", 1e-6),
     "pump_time_constant": ("s", 1.0),
-    "driven_velocity": ("mm/s", 1e3),
+    "velocity": ("mm/s", 1e3),
     "delay": ("ms", 1e3),
     "spool_bandwidth": ("Hz", 1.0),
     "dead_zone": ("%", 1e2),
@@ -63,7 +63,7 @@ def of_value(name: str) -> tuple[str, float]:
     last = re.sub(r"\[\d+\]$", "", name).rpartition(".")[2]
     if ".linkage." in name and last not in _VALUES:
         return ("deg", _DEGREES) if _ANGLES.fullmatch(last) else ("mm", 1e3)
-    return _VALUES.get(last, ("", 1.0))  # coefficients
+    return _VALUES.get(last) or _VALUES.get(last.rpartition("_")[2], ("", 1.0))  # coefficients have none
 
 
 def shown(name: str, value: float) -> str:
