@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from leanboom import fingerprint
 from leanboom.cli import app
 from leanboom.errors import InputError
+from leanboom.evaluation.evaluate import evaluate
+from leanboom.methods import pseudo_inverse
 from leanboom.methods.registry import METHODS
 from leanboom.report import papers_page
 from leanboom.study import processes
-from leanboom.study.papers import experiments, printed_values, reproduction
+from leanboom.study.papers import experiments, printed_values, reproduction, weights
 from leanboom.study.papers.experiments import COARSE, EXPERIMENTS, Job
+from leanboom.study.papers.weights import SIGNED
 
 EMPTY = {"time_s": [0.0, 1.0], "stroke_m": [0.1, 0.2], "supply_ls_pa": [2e6, 2e6]}
 
@@ -103,7 +107,7 @@ def test_solving_drives_the_motion_in_closed_loop():
 def test_every_job_is_one_that_can_be_solved():
     for experiment in EXPERIMENTS.values():
         for job in experiment.jobs().values():
-            assert job.method in METHODS.names() or job.method == COARSE
+            assert job.method in (*METHODS.names(), COARSE, SIGNED)
             assert job.task.start in ("smallest", "middle")
 
 
@@ -116,12 +120,12 @@ def test_names_of_experiments():
 
 def test_a_second_run_solves_nothing(solved, tmp_path):
     first = reproduction.reproduce(["table2"], tmp_path)
-    assert len(solved) == 8
+    assert len(solved) == 9
     solved.clear()
     second = reproduction.reproduce(["table2"], tmp_path)
     assert solved == []
     assert second.json() == first.json()
-    # Table 3 has five solutions in common with Table 2.
+    # Table 3 has seven solutions in common with Table 2.
     reproduction.reproduce(["table3"], tmp_path)
     assert {(job.method, job.cost) for job in solved} == {("pseudospectral", "ls"), ("shooting", "ls")}
 
@@ -141,7 +145,7 @@ def test_an_interrupted_run_goes_on(solved, tmp_path, monkeypatch):
     assert len(list((tmp_path / "solved").glob("*.json"))) == 3
     solved.clear()
     reproduction.reproduce(["table2"], tmp_path)
-    assert len(solved) == 5
+    assert len(solved) == 6
 
 
 def test_damaged_records_are_solved_again(solved, tmp_path):
@@ -300,7 +304,8 @@ def test_the_command_prints_json_and_writes_the_page(solved, tmp_path):
     answer = leanboom("reproduce", "table2", "--json", "--out", str(tmp_path))
     assert answer.exit_code == 0
     assert [row["row"] for row in json.loads(answer.stdout)] == [
-        *(row.name for row in printed_values.TABLE2), *(f"{row.name} (full model)" for row in printed_values.TABLE2)
+        *(f"{row.name}{full}" for full in ("", " (full model)")
+          for row in (*printed_values.TABLE2, printed_values.AS_WRITTEN))
     ]  # fmt: skip
     page = (tmp_path / "results.md").read_text()
     assert "| DIDO (CP) | 1.003 |" in page and "Table 3" not in page
@@ -317,17 +322,62 @@ def test_an_unusable_folder_is_told_before_anything_is_solved(solved, tmp_path):
     assert solved == []
 
 
-def test_pin_distances_are_derived_again():
-    """From the dead length that the bundled loader has, the bundled pin distances (rounded there to 1 mm and 1 um)."""
-    machine = EXPERIMENTS["table2"].jobs()["DP (CP)"].task.machine
-    for old, new in zip(machine.cylinders[:2], experiments.lengthened(machine, 0.280).cylinders[:2], strict=True):
-        for name in ("long", "short", "angle"):
-            assert getattr(new.linkage, name) == pytest.approx(getattr(old.linkage, name), abs=1e-3)
-    longer = experiments.lengthened(machine, 0.35)
-
-    for joint, cylinder in zip(longer.joints[:2], longer.cylinders[:2], strict=True):
+def test_pins_derived_before_have_the_printed_strokes_and_retracted_lengths_of_0_825_m():
+    machine = experiments.derived_pins(EXPERIMENTS["table2"].jobs()["DP (CP)"].task.machine)
+    for joint, cylinder in zip(machine.joints[:2], machine.cylinders[:2], strict=True):
         ends = [float(cylinder.linkage.length_arm_slope(q)[0]) for q in (joint.lower, joint.upper)]
-        assert ends == pytest.approx([0.545 + 0.35, 2 * 0.545 + 0.35], abs=1e-9)
+        assert ends == pytest.approx([0.825, 0.825 + 0.545], abs=1e-5)
+
+
+def test_other_zeros_of_the_lift_have_the_strokes_that_are_told_of_them():
+    """Eq. (30) with 0.83 m retracted makes the stroke 0.519 m, the angles of the pins' source 0.541 m."""
+    machine = EXPERIMENTS["table2"].jobs()["DP (CP)"].task.machine
+    found = []
+    for angle in experiments.LIFT_ZEROS.values():
+        lift = experiments.zeroed(machine, angle).cylinders[0].linkage
+        low, high = (float(lift.length_arm_slope(q)[0]) for q in (-0.212, 1.517))
+        found += [low, high - low]
+    assert found == pytest.approx([0.830, 0.519, 0.790, 0.541], abs=6e-4)
+
+
+def test_a_triangle_has_an_upright_and_a_level_edge():
+    task = EXPERIMENTS["table2"].jobs()["DP (CP)"].task
+    old = experiments.cornered(task, *experiments.EARLIER_TRIANGLE).path.points
+    assert old == ((1.4, 0.0, 0.5), (3.2, 0.0, 2.5), (3.2, 0.0, 0.5), (1.4, 0.0, 0.5))
+    a, b, c, again = task.path.points
+    assert a == again and c == (b[0], 0.0, a[2])
+
+
+def test_the_signed_reading_makes_the_weighted_pseudo_inverse_the_worst_as_printed():
+    """Weights as in the text make it better than the unweighted one, which is 1.127 of the least oil as printed."""
+    task = EXPERIMENTS["table2"].jobs()["DP (CP)"].task
+    rules = {"unweighted": None, "signed": weights.signed(), "text": weights.power(1.0)}
+    oil = {
+        name: evaluate(task, pseudo_inverse.resolve(task, 0.261, step=0.05, rule=rule)).energy_cp
+        for name, rule in rules.items()
+    }
+    assert oil["text"] < oil["unweighted"]
+    assert oil["signed"] / oil["unweighted"] == pytest.approx(1.308 / 1.127, rel=0.03)
+
+
+def test_rules_of_the_weights_find_where_their_norm_has_no_slope(rng):
+    """Against the pseudo-inverse of eq. (9) in matrices, with the weights of the unweighted answer's directions."""
+    areas = np.array([5.0, 5.0, 2.0]), np.array([3.4, 3.4, 1.3])
+    for _ in range(20):
+        jacobian, tool = rng.normal(size=(2, 3)), rng.normal(size=2)
+        free = np.linalg.pinv(jacobian) @ tool
+        null = np.linalg.svd(jacobian)[2][-1]
+        zero = free - null * free[-1] / null[-1]  # the third cylinder at rest
+        line = pseudo_inverse.Line(zero, null / null[-1], zero, null / null[-1], np.zeros(3))
+        for rule, matrix in (
+            (weights.power(-1.0), 1.0 / np.where(free > 0.0, *areas)),
+            (weights.power(2.0, exchanged=True), np.where(free > 0.0, *areas[::-1]) ** 2),
+            (weights.signed(), np.where(free > 0.0, areas[0], -areas[1])),
+        ):
+            inverse = np.diag(1.0 / matrix) @ jacobian.T
+            wanted = inverse @ np.linalg.solve(jacobian @ inverse, tool)
+            assert rule(line, *areas) == pytest.approx(wanted[-1], rel=1e-6, abs=1e-9)
+    assert set(weights.READINGS) and weights.flat(line, np.zeros(3)) == 0.0
 
 
 def test_other_cylinders_have_other_areas():

@@ -68,7 +68,7 @@ def test_stages_cut_the_duration_into_equal_parts(step, count):
         ("forwarder-horizontal", (0.0, 0.811), (0.895, 1.85), 0.811),
         ("forwarder-vertical", (0.410, 0.981), (0.023, 1.508), 0.571),
         ("forwarder-half-cycle", (0.0, 0.755), (0.225, 1.754), 0.538),
-        ("loader-triangle-large", (0.0, 1.005), (0.0, 1.005), 0.397),
+        ("loader-triangle-large", (0.260, 1.04), (0.260, 1.04), 0.096),
     ],
 )
 def test_feasible_extensions_worked_out_elsewhere(name, start, end, narrowest):
@@ -81,7 +81,7 @@ def test_feasible_extensions_worked_out_elsewhere(name, start, end, narrowest):
 
 
 @pytest.mark.parametrize(
-    ("edge", "end", "narrowest"), [(0, (0.643, 1.04), 0.397), (1, (0.339, 1.04), 0.397), (2, (0.0, 1.005), 0.701)]
+    ("edge", "end", "narrowest"), [(0, (0.305, 1.04), 0.735), (1, (0.0, 0.096), 0.096), (2, (0.260, 1.04), 0.096)]
 )
 def test_feasible_extensions_of_the_triangle_edge_by_edge(edge, end, narrowest):
     problem = stages.discretise(TASKS["loader-triangle-large"], 0.05)

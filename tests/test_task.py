@@ -47,9 +47,9 @@ def test_velocity_and_acceleration_are_derivatives(name, share, segment):
         ("forwarder-horizontal", 3.20, 0.600),
         ("forwarder-vertical", 3.04, 0.950),
         ("forwarder-half-cycle", 7.02, 0.750),
-        ("loader-triangle-large", 2.691 + 2.000 + 1.800, 0.505),
-        ("loader-triangle-medium", (2.691 + 2.000 + 1.800) * 2 / 3, 0.505 * 2 / 3),
-        ("loader-triangle-small", (2.691 + 2.000 + 1.800) / 3, 0.505 / 3),
+        ("loader-triangle-large", 2.950 + 1.500 + 2.540, 0.553),
+        ("loader-triangle-medium", (2.950 + 1.500 + 2.540) * 2 / 3, 0.553 * 2 / 3),
+        ("loader-triangle-small", (2.950 + 1.500 + 2.540) / 3, 0.553 / 3),
     ],
 )
 def test_lengths_and_peak_speeds_worked_out_elsewhere(name, length, peak):
@@ -65,7 +65,7 @@ def test_lengths_and_peak_speeds_worked_out_elsewhere(name, length, peak):
     assert speeds.max() == pytest.approx(peak, abs=6e-4)
 
 
-@pytest.mark.parametrize(("edge", "length", "peak"), [(0, 2.691, 0.505), (1, 2.000, 0.375), (2, 1.800, 0.338)])
+@pytest.mark.parametrize(("edge", "length", "peak"), [(0, 2.950, 0.553), (1, 1.500, 0.281), (2, 2.540, 0.476)])
 def test_edges_of_the_large_triangle(edge, length, peak):
     """Each edge takes 10 s; the quintic's fastest moment is halfway, at 1.875 D / T."""
     task = TASKS["loader-triangle-large"]

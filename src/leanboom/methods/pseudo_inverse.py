@@ -20,6 +20,7 @@ it is exceeded.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -50,6 +51,9 @@ class Line:
     cylinder0: np.ndarray  # a0, cylinder velocities at w = 0 [m/s]
     cylinder1: np.ndarray  # a1, and per w
     length: np.ndarray  # cylinder lengths [m]
+
+
+Rule = Callable[[Line, np.ndarray, np.ndarray], float]  # line, areas of extending and retracting: w [m/s]
 
 
 def velocity_line(crane: cranes.Crane, plane: cranes.Plane, stroke) -> Line:
@@ -159,7 +163,9 @@ def viable_strokes(problem: Problem, middle: cranes.Plane, points: list[cranes.P
     return viable
 
 
-def resolve(task: Task, start_position: float, variant: str = "actuator", step: float = STEP) -> Motion:
+def resolve(
+    task: Task, start_position: float, variant: str = "actuator", step: float = STEP, rule: Rule | None = None
+) -> Motion:
     """The motion that a pseudo-inverse with limits gives along a task's path.
 
     The velocity of the redundant cylinder is found at the middle of each interval and held over it (midpoint
@@ -173,6 +179,8 @@ def resolve(task: Task, start_position: float, variant: str = "actuator", step: 
         start_position: Where the redundant cylinder starts [m].
         variant: "joint" (min q'q), "actuator" (min v'v of the cylinders) or "weighted" (min v'Av).
         step: Interval of the integration [s].
+        rule: Another choice than the variant's least norm: from the velocities on the path and the areas of extending
+            and retracting cylinders [m^2] to the velocity of the redundant one [m/s], limits aside.
 
     Returns:
         The motion, its stage velocities the means of the intervals beside them, at rest at both ends.
@@ -197,7 +205,7 @@ def resolve(task: Task, start_position: float, variant: str = "actuator", step: 
     for k, plane in enumerate(points):
         line = velocity_line(problem.crane, plane, c + 0.5 * step * w)
         low, high = velocity_bounds(problem, line, strokes)
-        least = least_velocity(line, variant, area_out, area_in)
+        least = rule(line, area_out, area_in) if rule else least_velocity(line, variant, area_out, area_in)
         w = min(max(least, float(low)), float(high))
         low, high = viable[k + 1] if viable is not None else _nearest(problem.intervals[k + 1], c)
         w = min(max(w, float(low - c) / step), float(high - c) / step)

@@ -29,7 +29,9 @@ from leanboom.model.task import Task
 from leanboom.problem import starts
 from leanboom.progress import Progress, quiet
 from leanboom.study import comparison, processes
+from leanboom.study.papers import weights
 from leanboom.study.papers.experiments import COARSE, EXPERIMENTS, Job, Line, Record, Records
+from leanboom.study.papers.weights import SIGNED
 
 SMOOTH = 5.0  # [Hz], both papers filter their plans before they are measured
 POINTS = 601  # of a motion in its record, at most
@@ -145,7 +147,7 @@ def key(job: Job) -> str:
 
 def _effort(job: Job) -> float:
     """How long a job takes, roughly, relative to others."""
-    weight = METHODS.find("dp" if job.method == COARSE else job.method).weight
+    weight = METHODS.find({COARSE: "dp", SIGNED: "sns-actuator"}.get(job.method, job.method)).weight
     return (3.0 if job.cost == "ls" else 1.0) * weight * job.task.duration * job.grid[0] * job.grid[1]
 
 
@@ -168,17 +170,18 @@ def solve(job: Job) -> dict[str, Any]:
 
     from leanboom.dynamic_programming import value_function
     from leanboom.evaluation.evaluate import evaluate
+    from leanboom.methods import pseudo_inverse
     from leanboom.problem import stages
 
     began = time.process_time()
     task = replace(job.task, smooth=None)
     if job.method == COARSE:
         problem = stages.discretise(task, STEP)
-        start = starts.start_position(problem, task.start)
-        assert start is not None
-        found = value_function.rollout(
-            value_function.solve(problem, grids.full_grid(problem, *job.grid), job.cost), start
-        )
+        policy = value_function.solve(problem, grids.full_grid(problem, *job.grid), job.cost)
+        found = value_function.rollout(policy, _start(task))
+        first = evaluate(task, found)
+    elif job.method == SIGNED:
+        found = pseudo_inverse.resolve(task, _start(task), rule=weights.signed())
         first = evaluate(task, found)
     else:
         plan = comparison.plan_row(task, job.method, job.cost, grid=job.grid)
@@ -199,6 +202,15 @@ def solve(job: Job) -> dict[str, Any]:
         "stroke_m": np.round(judged.length[at, -1], 5).tolist(),
         "supply_ls_pa": np.round(judged.supply_ls[at], -3).tolist(),
     }
+
+
+def _start(task: Task) -> float:
+    """Where a task's motion starts [m]."""
+    from leanboom.problem import stages
+
+    start = starts.start_position(stages.discretise(task, STEP), task.start)
+    assert start is not None
+    return start
 
 
 def _driven(task: Task, found: Motion, wanted: bool) -> dict[str, float | None]:
