@@ -116,7 +116,7 @@ def test_every_number_has_a_unit_and_what_octave_reads_is_there(tmp_path):
 
 def test_a_motion_that_comes_back_is_judged(tmp_path):
     task = load_task("loader-triangle-small", start="middle")
-    plan = run(task, pump="cp", method="sns-actuator", baseline=False)
+    plan = run(task, pump="cp", method="sns-actuator", baseline=False, check=False)
     file = tmp_path / "motion.mat"
     motion = plan.motion
     contents = {"task": task.name, "pump": "cp", "step": motion.step, "start": motion.position[0]}
