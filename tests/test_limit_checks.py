@@ -19,6 +19,7 @@ from leanboom.planning.planner import run
 from leanboom.problem import feasible_strokes, stages
 from leanboom.report import facts
 from leanboom.study.comparison import compare
+from leanboom.study.papers.variations import cornered
 
 VERTICAL = load_task("forwarder-vertical")
 HIGH, LOW, ASIDE = (5.5, 0.0, 4.0), (5.5, 0.0, 2.0), (0.0, 5.5, 4.0)
@@ -180,8 +181,9 @@ def test_motions_within_limits_keep_far_from_contradicting_themselves(smooth, mo
     """A fiftieth of what is allowed would do, filtered a fifth."""
     share = 0.02 if smooth is None else 0.2
     monkeypatch.setattr(limit_checks, "SHARES", tuple(share * value for value in limit_checks.SHARES))
-    for name, start, halves in (("forwarder-vertical", 0.7, 2), ("loader-triangle-small", 0.6, 6)):
-        task = replace(load_task(name), smooth=smooth)
+    far = cornered(load_task("loader-triangle-small"), (2.6, 0.5), (3.2, 1.1667))  # with room for the extension
+    for whole, start, halves in ((load_task("forwarder-vertical"), 0.7, 2), (far, 0.6, 6)):
+        task = replace(whole, smooth=smooth)
         speed = 0.05 * np.sin(np.pi * halves * np.linspace(0.0, 1.0, round(task.duration / 0.05) + 1))  # ends at rest
         judged = evaluate(task, from_velocities(0.05, start, speed, "x", "cp"))
         assert judged.feasible, judged.status
