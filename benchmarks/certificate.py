@@ -12,6 +12,7 @@ import leanboom as lb
 
 STARTS = ("smallest", "middle", "best")
 PUMPS = ("cp", "ls")
+SINGLE = tuple(name for name in lb.bundled_tasks() if not lb.load_task(name).legs)  # tasks with one path
 
 
 def table(tasks: list[str], starts: list[str], pumps: list[str], seconds: float, gap: float) -> None:
@@ -32,7 +33,7 @@ def table(tasks: list[str], starts: list[str], pumps: list[str], seconds: float,
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("tasks", nargs="*", default=lb.bundled_tasks(), metavar="TASK", help="by default all bundled")
+    parser.add_argument("tasks", nargs="*", default=SINGLE, metavar="TASK", help="by default all bundled")
     parser.add_argument("--start", action="append", choices=STARTS, help="by default all")
     parser.add_argument("--pump", action="append", choices=PUMPS, help="by default both")
     parser.add_argument("--seconds", type=float, default=120.0, help="time for each bound")

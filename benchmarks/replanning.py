@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 import leanboom as lb
+from benchmarks.certificate import SINGLE
 from benchmarks.run import machine, title
 from leanboom.dynamic_programming import grids, value_function
 from leanboom.evaluation import safe_stop
@@ -113,7 +114,7 @@ def horizons() -> None:
         + "  pinv"
     )
     for start in ("smallest", "middle"):
-        for name in lb.bundled_tasks():
+        for name in SINGLE:
             task = replace(lb.load_task(name), start=start)
             for pump in PUMPS:
                 plan = planner.run(task, pump=pump, check=False)

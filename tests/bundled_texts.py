@@ -8,8 +8,10 @@ import pytest
 
 import leanboom
 from leanboom.errors import InputError
+from leanboom.io.loading import bundled_tasks, load_task
 
 PACKAGE = Path(leanboom.__file__).parent
+SINGLE = tuple(name for name in bundled_tasks() if not load_task(name).legs)  # tasks with one path
 FORWARDER = (PACKAGE / "data/machines/forwarder.yaml").read_text()
 HALF_CYCLE = (PACKAGE / "data/tasks/forwarder-half-cycle.yaml").read_text()
 TRIANGLE = (PACKAGE / "data/tasks/loader-triangle-large.yaml").read_text()

@@ -144,7 +144,7 @@ def test_check_reports_every_problem_of_every_file(tmp_path):
     assert result.stderr.count("bore = -80 mm; must be above 0") == 2
     assert f"{task}:1: machine = nope" in result.stderr
     assert (
-        "missing: is no file and no bundled name; machines: forwarder, loader; tasks: forwarder-half" in result.stderr
+        "missing: is no file and no bundled name; machines: forwarder, loader; tasks: forwarder-cycle" in result.stderr
     )
     assert "machine loader is right" in result.stdout
 

@@ -14,14 +14,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import leanboom
+from bundled_texts import SINGLE
 from leanboom.errors import InputError
 from leanboom.formulas import dynamics, kinematics
-from leanboom.io.loading import bundled_tasks, load_task
+from leanboom.io.loading import load_task
 from leanboom.model import crane as cranes
 from leanboom.model.task import Lines, Task, sample
 from leanboom.problem import stages
 
-TASKS = {name: load_task(name) for name in bundled_tasks()}
+TASKS = {name: load_task(name) for name in SINGLE}
 TASKS = {
     name: replace(task, machine=replace(task.machine, gravity=9.81, coriolis=True, slewing_inertia=True))
     for name, task in TASKS.items()

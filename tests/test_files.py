@@ -44,9 +44,11 @@ def part(machine, name):
 def test_the_bundled_files_are_these():
     assert bundled_machines() == ("forwarder", "loader")
     assert bundled_tasks() == (
+        "forwarder-cycle",
         "forwarder-half-cycle",
         "forwarder-horizontal",
         "forwarder-vertical",
+        "loader-cycle",
         "loader-triangle-large",
         "loader-triangle-medium",
         "loader-triangle-small",

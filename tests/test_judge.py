@@ -9,17 +9,18 @@ import numpy as np
 import pytest
 from scipy.integrate import fixed_quad
 
+from bundled_texts import SINGLE
 from leanboom.errors import InputError
 from leanboom.evaluation.evaluate import SAMPLE, evaluate, hydraulic_state, judged_cost
 from leanboom.formulas import kinematics
-from leanboom.io.loading import bundled_tasks, load_machine, load_task
+from leanboom.io.loading import load_machine, load_task
 from leanboom.model import crane as cranes
 from leanboom.model.machine import Joint
 from leanboom.model.motion import from_velocities
 from leanboom.model.task import Lines, Task, sample
 
 LOADER, FORWARDER = load_machine("loader"), load_machine("forwarder")
-TASKS = {name: load_task(name) for name in bundled_tasks()}
+TASKS = {name: load_task(name) for name in SINGLE}
 
 
 def rest(task, stroke, step=0.05):

@@ -20,7 +20,7 @@ from leanboom.methods.dp_refined import Search
 from leanboom.methods.registry import EFFORTS
 from leanboom.model import motion
 from leanboom.model.task import Leg, Lines, Part
-from leanboom.planning import junctions, planner, summaries
+from leanboom.planning import junctions, planner, summaries, time_sharing
 from leanboom.problem import stages
 from leanboom.report import run_folder
 from leanboom.simulation.closed_loop import simulate
@@ -248,6 +248,45 @@ def test_a_start_that_the_cycle_cannot_come_back_to_is_named_with_its_leg():
     apart = replace(CYCLE, legs=(Leg(payload=0.0, path=lb.load_task("forwarder-horizontal").path),), start="smallest")
     with pytest.raises(InputError, match=r"leg 1: end = same, and the start is .* m; feasible at the end of this path"):
         planner.run(apart, pump="cp", **QUICK)
+
+
+# Time shared among legs
+
+
+def test_time_is_shared_so_that_the_sum_of_costs_is_least():
+    """Costs a / T: for a total, durations are as the roots of a; at a price, T is the root of a over it."""
+    task = replace(CYCLE, legs=tuple(replace(leg, duration=(1.0, 9.0)) for leg in CYCLE.legs), total=8.0)
+    times = np.linspace(1.0, 9.0, 41)
+    curves = [(times, 100.0 / times), (times, 400.0 / times)]
+    spans = [(1.0, 9.0)] * 2
+    found = time_sharing._shared(task, curves, spans, [3.0, 3.0])
+    assert sum(found) + 2.0 == pytest.approx(8.0, abs=1e-9)
+    assert found == pytest.approx([2.0, 4.0], abs=0.03)
+    priced = replace(task, total=None, time_price=25.0)
+    assert time_sharing._shared(priced, curves, spans, [3.0, 3.0]) == pytest.approx([2.0, 4.0], abs=0.03)
+    broken = [(times, np.where(times < 3.0, np.inf, 100.0 / times)), curves[1]]
+    assert time_sharing._shared(task, broken, spans, [3.0, 3.0]) == pytest.approx([3.0, 3.0], abs=0.03)
+
+
+def test_a_duration_is_chosen_at_the_price_of_time():
+    """A pump with losses that rise with the square of its flow likes it slow, time is paid for: no other is better."""
+    levels, shares = (5e6, 15e6, 25e6), (((0.8, 0.86, 0.88), (0.7, 0.79, 0.82), (0.55, 0.68, 0.74)),)
+    lossy = EfficiencyMap(30.0, (30.0,), (40e-6, 100e-6, 200e-6), levels, shares)
+    machine = replace(CYCLE.machine, pump=replace(CYCLE.machine.pump, efficiency=lossy))
+    leg = Leg(payload=0.0, path=Lines(DOWN, (4.0,)), duration=(3.0, 9.0))
+    task = replace(CYCLE, machine=machine, legs=(leg,), end="free", time_price=50.0)
+    fine = QUICK | {"step": 0.1}
+    found = planner.run(task, pump="cp", baseline=False, **fine)
+    chosen = found.task.duration
+    assert 3.2 < chosen < 8.8
+
+    def total(duration):
+        fixed = replace(task, legs=(leg.lasting(duration),), time_price=None)
+        return planner.run(fixed, pump="cp", baseline=False, **fine).evaluation.energy_cp + 50.0 * duration
+
+    best = found.evaluation.energy_cp + 50.0 * chosen
+    for other in (0.85 * chosen, 1.15 * chosen):
+        assert best <= total(other) * 1.0005
 
 
 # Motions of legs

@@ -7,15 +7,16 @@ import pytest
 from scipy.optimize import linprog, lsq_linear
 
 import saturation
+from bundled_texts import SINGLE
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.evaluation.evaluate import evaluate
-from leanboom.io.loading import bundled_tasks, load_task
+from leanboom.io.loading import load_task
 from leanboom.methods import pseudo_inverse
 from leanboom.model import crane as cranes
 from leanboom.model.task import sample
 from leanboom.problem import stages
 
-TASKS = bundled_tasks()
+TASKS = SINGLE
 
 
 def start_of(problem, name):

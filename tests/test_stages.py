@@ -10,17 +10,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bundled_texts import SINGLE
 from leanboom import resources
 from leanboom.components.costs import COSTS
 from leanboom.dynamic_programming import grids
 from leanboom.errors import InfeasibleError, InputError
-from leanboom.io.loading import bundled_tasks, load_task
+from leanboom.io.loading import load_task
 from leanboom.model import crane as cranes
 from leanboom.model.machine import Joint
 from leanboom.model.task import Lines, Task, sample
 from leanboom.problem import feasible_strokes, layout, stage_arrays, stages
 
-TASKS = {name: load_task(name) for name in bundled_tasks()}
+TASKS = {name: load_task(name) for name in SINGLE}
 PROBLEMS = {name: stages.discretise(task, 0.25) for name, task in TASKS.items()}
 FORWARDER = TASKS["forwarder-horizontal"].machine
 RATE = st.floats(-1.0, 1.0)

@@ -8,11 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
+from bundled_texts import SINGLE
 from leanboom.errors import InputError
-from leanboom.io.loading import bundled_tasks, load_task
+from leanboom.io.loading import load_task
 from leanboom.model.task import Braking, Lines, Moved, Part, Retimed, Spline, Task, sample, written
 
-TASKS = {name: load_task(name) for name in bundled_tasks()}
+TASKS = {name: load_task(name) for name in SINGLE}
 SHARE = st.floats(0.0, 1.0)
 
 

@@ -31,6 +31,7 @@ __all__ = [
 STARTS = ("smallest", "middle", "best")
 ENDS = ("free", "same", "smallest", "middle")
 TIMINGS = ("fixed", "free", "shortest")
+ROUNDING = 1e-9  # [m], of a length that is read off a motion
 FILTERED = 0.02  # [s], the shortest path with enough samples for a low pass
 
 Key = tuple[str | int, ...]  # where a value is in a task file
@@ -252,7 +253,7 @@ def faults(
             found += [((*there, "points", i), point, flat) for i, point in wrong]
     longest = machine.redundant.stroke
     for key, place in (("start", start), ("end", end)):
-        if isinstance(place, float) and place > longest:
+        if isinstance(place, float) and place > longest + ROUNDING:
             found.append(((key,), place, f"must be from 0 to {longest:.6g} m, the stroke of the extension cylinder"))
     if smooth is not None and any(path.duration < FILTERED for path in given.values()):
         found.append((("smooth",), smooth, f"needs a path of at least {FILTERED:g} s"))

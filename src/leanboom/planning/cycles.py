@@ -30,7 +30,12 @@ Legs = list[Evaluation]  # judged motions of all legs, in order
 
 
 def plan(task: Task, cost: str, method: Method, tell: Progress, settings: Settings) -> Evaluation:
-    """The judged motion of a task with legs.
+    """The judged motion of a task with legs; arguments and errors as in `legs`."""
+    return whole(task, legs(task, cost, method, tell, settings))
+
+
+def legs(task: Task, cost: str, method: Method, tell: Progress, settings: Settings) -> Legs:
+    """The judged motions of all legs of a task.
 
     Args:
         task: The task; what its legs last is known.
@@ -45,44 +50,45 @@ def plan(task: Task, cost: str, method: Method, tell: Progress, settings: Settin
     """
     given = chain(task, cost, settings.grid, settings.step)
     if not method.ends:
-        return whole(task, _one_after_another(given, method, tell, settings))
+        return _one_after_another(given, method, tell, settings)
     quick = replace(settings, effort="quick", seeds=())
     tell("extensions between legs", 0.02)
-    legs = _between(given, coarse(given), method, _within(tell, 0.05, 0.2), quick)
+    found = _between(given, coarse(given), method, _within(tell, 0.05, 0.2), quick)
     try:
         greedy = _one_after_another(given, method, _within(tell, 0.2, 0.3), quick)
-        legs = _better(legs, greedy, cost)
+        found = _better(found, greedy, cost)
     except LeanboomError:  # where the others lead, the last leg cannot begin
         pass
     for seed in settings.seeds:
-        legs = _better(legs, _cut(given, seed), cost)
+        found = _better(found, _cut(given, seed), cost)
     for _ in range(ROUNDS[COSTS[cost].loads]):
-        moved = _moved(given, legs, given.spacing)
-        if moved is legs:
+        moved = _moved(given, found, given.spacing)
+        if moved is found:
             break
-        legs = _better(_between(given, _ends(moved), method, _within(tell, 0.3, 0.5), quick, moved), moved, cost)
+        found = _better(_between(given, _ends(moved), method, _within(tell, 0.3, 0.5), quick, moved), moved, cost)
     if settings.effort != "quick":
-        legs = _between(given, _ends(legs), method, _within(tell, 0.5, 0.9), settings, legs)
-        legs = _moved(given, legs, NEAR, min(each.motion.step for each in legs))
-    return whole(task, _no_worse_than_pseudo_inverse(given, legs, method, tell, settings))
+        found = _between(given, _ends(found), method, _within(tell, 0.5, 0.9), settings, found)
+        found = _moved(given, found, NEAR, min(each.motion.step for each in found))
+    return _no_worse_than_pseudo_inverse(given, found, method, tell, settings)
 
 
 def check(task: Task) -> None:
-    """Raise InputError where what legs last is still to be chosen."""
+    """Raise InputError where the speed along a leg is still to be planned."""
     for i, leg in enumerate(task.legs):
-        if not leg.settled:
-            raise InputError(f"legs[{i}] has a duration or a timing to be chosen; must have a fixed one to be planned")
+        for key, value, word in (("duration", leg.duration, "shortest"), ("timing", leg.timing, "free")):
+            if value == word:
+                raise InputError(f"legs[{i}].{key} = {word}; cannot be planned in a task with legs yet")
 
 
-def whole(task: Task, legs: Legs) -> Evaluation:
+def whole(task: Task, found: Legs) -> Evaluation:
     """The judged motion of a task with legs made of those of its legs, at rest between them."""
-    first = legs[0].motion
+    first = found[0].motion
     moved = []
     for each in task.stretches:
-        leg = legs[each.leg].motion
+        leg = found[each.leg].motion
         held = motion.held(float(leg.position[0]), each.until - each.since, first.method, first.cost)
         moved.append(held if each.waits else leg)
-    log = [f"leg {i}: {line}" for i, leg in enumerate(legs, 1) for line in leg.motion.log]
+    log = [f"leg {i}: {line}" for i, leg in enumerate(found, 1) for line in leg.motion.log]
     return evaluate(task, replace(motion.joined(moved), log=tuple(log)))
 
 
@@ -153,23 +159,23 @@ def _leg(
     return evaluate(task, answer) if isinstance(answer, Motion) else answer
 
 
-def _moved(given: Chain, legs: Legs, reach: float, step: float | None = None) -> Legs:
+def _moved(given: Chain, known: Legs, reach: float, step: float | None = None) -> Legs:
     """Legs with the extensions between them moved together; the same where that gains nothing.
 
     Args:
         given: The chain.
-        legs: The legs.
+        known: The legs.
         reach: How far to look first [m].
         step: Length of the stages on which they are polished [s]; None: that of the chain.
     """
-    mover = Mover(given, legs, step)
-    found = [each for each in mover.legs(mover.best(_ends(legs), reach)) if each is not None]
-    return _better(legs, found, given.cost) if len(found) == len(legs) else legs
+    mover = Mover(given, known, step)
+    found = [each for each in mover.legs(mover.best(_ends(known), reach)) if each is not None]
+    return _better(known, found, given.cost) if len(found) == len(known) else known
 
 
-def _ends(legs: Sequence[Evaluation]) -> np.ndarray:
+def _ends(found: Sequence[Evaluation]) -> np.ndarray:
     """Extensions before, between and after legs [m], (legs + 1,)."""
-    return np.array([*(leg.motion.position[0] for leg in legs), legs[-1].motion.position[-1]])
+    return np.array([*(leg.motion.position[0] for leg in found), found[-1].motion.position[-1]])
 
 
 def _better(one: Legs, other: Legs, cost: str) -> Legs:
@@ -177,11 +183,11 @@ def _better(one: Legs, other: Legs, cost: str) -> Legs:
     return other if _rank(other, cost) < _rank(one, cost) else one
 
 
-def _rank(legs: Legs, cost: str) -> tuple[bool, float, float]:
+def _rank(found: Legs, cost: str) -> tuple[bool, float, float]:
     """Sorting key, the best first, as `ranking.rank` has it for one motion."""
-    if all(leg.feasible for leg in legs):
-        return False, 0.0, sum(judged_cost(leg, cost) for leg in legs)
-    return True, max(leg.worst_use for leg in legs), 0.0
+    if all(leg.feasible for leg in found):
+        return False, 0.0, sum(judged_cost(leg, cost) for leg in found)
+    return True, max(leg.worst_use for leg in found), 0.0
 
 
 def _cut(given: Chain, seed: Motion) -> Legs:
@@ -193,17 +199,19 @@ def _cut(given: Chain, seed: Motion) -> Legs:
     return found
 
 
-def _no_worse_than_pseudo_inverse(given: Chain, legs: Legs, method: Method, tell: Progress, settings: Settings) -> Legs:
+def _no_worse_than_pseudo_inverse(
+    given: Chain, found: Legs, method: Method, tell: Progress, settings: Settings
+) -> Legs:
     """Legs, or those searched around the pseudo-inverse from the same start where that ends as asked and costs less."""
-    other = baseline(given.task, float(legs[0].motion.position[0]))
+    other = baseline(given.task, float(found[0].motion.position[0]))
     if other is None:
-        return legs
+        return found
     cost = given.cost
     asked = evaluate(given.task, other.motion)
-    if not asked.feasible or judged_cost(asked, cost) >= sum(judged_cost(leg, cost) for leg in legs):
-        return legs
+    if not asked.feasible or judged_cost(asked, cost) >= sum(judged_cost(leg, cost) for leg in found):
+        return found
     seeds = _cut(given, other.motion)
-    return _better(_between(given, _ends(seeds), method, tell, settings, seeds), legs, cost)
+    return _better(_between(given, _ends(seeds), method, tell, settings, seeds), found, cost)
 
 
 def _within(tell: Progress, since: float, until: float) -> Progress:

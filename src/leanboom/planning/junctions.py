@@ -160,7 +160,7 @@ class Mover:
         problems = given.problems
         if step is not None:  # shorter stages than those of the chain
             problems = tuple(stages.discretise(problem.task, step) for problem in problems)
-        self._polishers = [modes.build(_ended(problem), given.cost) for problem in problems]
+        self._polishers = [modes.build(ended(problem), given.cost) for problem in problems]
         self._seeds = [stages.on_stages(p.problem, e.motion) for p, e in zip(self._polishers, motions, strict=True)]
         self._switches = [modes.modes(p, seed) for p, seed in zip(self._polishers, self._seeds, strict=True)]
         self._known: dict[tuple[int, float, float], Evaluation | None] = {}
@@ -234,7 +234,7 @@ class Mover:
         return found
 
 
-def _ended(problem: Problem) -> Problem:
+def ended(problem: Problem) -> Problem:
     """A problem whose motions end where they are led to."""
     return replace(problem, task=replace(problem.task, start="middle", end="same"))
 

@@ -28,7 +28,7 @@ from leanboom.methods.registry import EFFORTS, GRID, METHODS, STEP, Method, Sett
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import Kind, Outcome
 from leanboom.model.task import Task
-from leanboom.planning import cycles
+from leanboom.planning import cycles, time_sharing
 from leanboom.problem import least_flow, stages, starts
 from leanboom.progress import Progress, quiet
 from leanboom.quantities.ranges import STAGE, noted, one_of
@@ -195,6 +195,7 @@ def run(
     settings = Settings(grid, step, effort, tuple(warm_start), proof.seek if proven else None)
     if task.legs:
         cycles.check(task)
+        task = time_sharing.share(task, cost, chosen, tell, settings)
         best = cycles.plan(task, cost, chosen, tell, settings)
     else:
         best = _single(task, cost, method, chosen, tell, settings)
