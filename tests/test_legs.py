@@ -289,6 +289,48 @@ def test_a_duration_is_chosen_at_the_price_of_time():
         assert best <= total(other) * 1.0005
 
 
+# Timing
+
+
+def test_a_fastest_leg_comes_first_and_the_others_meet_it(plan, monkeypatch):
+    """What is fastest between other extensions is slower: they are its own, and the rest of the cycle fits in."""
+    asked = []
+
+    def fastest(task, cost, tell):
+        asked.append((task.start, task.end, task.payload))
+        quicker = replace(task, path=task.path.slower(0.8), start=0.8, end=0.6)
+        return planner.run(quicker, pump=cost, baseline=False, **QUICK).evaluation
+
+    monkeypatch.setattr(planner.shortest, "plan", fastest)
+    legs = CYCLE.legs[0], replace(CYCLE.legs[1], duration="shortest")
+    found = planner.run(replace(CYCLE, start="best", legs=legs), pump="cp", baseline=False, **QUICK)
+    assert asked == [("best", "free", 250.0)]
+    assert found.solved and found.task.duration == pytest.approx(5.0 + 2.0 + 0.8 * 6.0)
+    meet = found.motion.at(np.array([0.0, 5.0, found.task.duration]))[0]
+    assert meet == pytest.approx([0.6, 0.8, 0.6], abs=1e-6)
+    assert [leg.duration for leg in found.task.legs] == [None, None]
+    planner.run(replace(CYCLE, start=0.6, legs=legs), pump="cp", baseline=False, **QUICK)
+    assert asked[1] == ("best", 0.6, 250.0)
+
+
+def test_speed_along_a_leg_is_freed_between_the_extensions_found(plan, monkeypatch):
+    """The leg is planned again with a free timing from the motion known, and no worse one is taken."""
+    asked, run = [], planner.run
+
+    def freed(task, **given):
+        asked.append(task)
+        return run(replace(task, timing="fixed"), **given)
+
+    monkeypatch.setattr(planner, "run", freed)
+    legs = replace(CYCLE.legs[0], timing="free"), CYCLE.legs[1]
+    found = run(replace(CYCLE, legs=legs), pump="cp", baseline=False, **QUICK)
+    assert [(task.timing, task.start, task.end) for task in asked] == [
+        ("free", pytest.approx(found.motion.position[0]), pytest.approx(found.motion.at(np.array([5.0]))[0][0]))
+    ]
+    assert found.evaluation.energy_cp <= plan.evaluation.energy_cp * (1.0 + 1e-6)
+    assert all(leg.settled for leg in found.task.legs)
+
+
 # Motions of legs
 
 

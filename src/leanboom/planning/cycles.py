@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from leanboom.components.costs import COSTS
-from leanboom.errors import InputError, LeanboomError
+from leanboom.errors import LeanboomError
 from leanboom.evaluation.evaluate import Evaluation, evaluate, judged_cost
 from leanboom.methods import pseudo_inverse
 from leanboom.methods.registry import Method, Settings
@@ -29,12 +29,10 @@ ROUNDS = (1, 2)  # of moving the extensions before all legs are searched: withou
 Legs = list[Evaluation]  # judged motions of all legs, in order
 
 
-def plan(task: Task, cost: str, method: Method, tell: Progress, settings: Settings) -> Evaluation:
-    """The judged motion of a task with legs; arguments and errors as in `legs`."""
-    return whole(task, legs(task, cost, method, tell, settings))
-
-
-def legs(task: Task, cost: str, method: Method, tell: Progress, settings: Settings) -> Legs:
+def legs(
+    task: Task, cost: str, method: Method, tell: Progress, settings: Settings,
+    known: dict[int, Evaluation] | None = None,
+) -> Legs:  # fmt: skip
     """The judged motions of all legs of a task.
 
     Args:
@@ -43,12 +41,13 @@ def legs(task: Task, cost: str, method: Method, tell: Progress, settings: Settin
         method: How each leg is planned; one that leaves the end free plans them one after another.
         tell: Called with what happens and the share done.
         settings: As for a single task; seeds are motions of the whole task.
+        known: Legs, by their number from 0, whose motion is given.
 
     Raises:
         InputError: Starts and ends that are not feasible.
         InfeasibleError: The tool cannot follow a leg, whatever the extension.
     """
-    given = chain(task, cost, settings.grid, settings.step)
+    given = chain(task, cost, settings.grid, settings.step, known)
     if not method.ends:
         return _one_after_another(given, method, tell, settings)
     quick = replace(settings, effort="quick", seeds=())
@@ -70,14 +69,6 @@ def legs(task: Task, cost: str, method: Method, tell: Progress, settings: Settin
         found = _between(given, _ends(found), method, _within(tell, 0.5, 0.9), settings, found)
         found = _moved(given, found, NEAR, min(each.motion.step for each in found))
     return _no_worse_than_pseudo_inverse(given, found, method, tell, settings)
-
-
-def check(task: Task) -> None:
-    """Raise InputError where the speed along a leg is still to be planned."""
-    for i, leg in enumerate(task.legs):
-        for key, value, word in (("duration", leg.duration, "shortest"), ("timing", leg.timing, "free")):
-            if value == word:
-                raise InputError(f"legs[{i}].{key} = {word}; cannot be planned in a task with legs yet")
 
 
 def whole(task: Task, found: Legs) -> Evaluation:
@@ -112,11 +103,10 @@ def baseline(task: Task, start: float) -> Evaluation | None:
 def _one_after_another(given: Chain, method: Method, tell: Progress, settings: Settings) -> Legs:
     """The legs planned one after another, each from where the one before ends: none looks ahead."""
     found: Legs = []
-    at = given.start
-    for i in range(len(given.legs)):
-        last = i == len(given.legs) - 1
-        closing = float(found[0].motion.position[0]) if given.closed and found else given.end
-        end = closing if last and closing is not None else "free"
+    at = given.pins[0]
+    for i, pin in enumerate(given.pins[1:]):
+        closes = given.closed and found and i == len(given.legs) - 1
+        end = float(found[0].motion.position[0]) if closes else "free" if pin is None else pin
         found.append(_leg(given, i, "best" if at is None else at, end, method, tell, settings))
         at = float(found[-1].motion.position[-1])
     return found
@@ -146,6 +136,8 @@ def _leg(
     given: Chain, i: int, start: float | str, end: float | str, method: Method, tell: Progress, settings: Settings
 ) -> Evaluation:
     """A leg planned from a start to an end [m], or to a free one, judged."""
+    if i in given.known:
+        return given.known[i]
     count = len(given.legs)
     task = given.leg(i, start, end)
 
@@ -203,6 +195,8 @@ def _no_worse_than_pseudo_inverse(
     given: Chain, found: Legs, method: Method, tell: Progress, settings: Settings
 ) -> Legs:
     """Legs, or those searched around the pseudo-inverse from the same start where that ends as asked and costs less."""
+    if given.known:  # the others meet them, wherever the pseudo-inverse would lead
+        return found
     other = baseline(given.task, float(found[0].motion.position[0]))
     if other is None:
         return found

@@ -29,6 +29,7 @@ from leanboom.problem import stages, starts
 from leanboom.problem.stages import Problem
 
 CLOSED_GRID = 0.5  # nodes along each axis where a cycle closes, in those of the grid asked for
+Pins = tuple[float | None, ...]
 ACCURACY, CALLS = 2e-4, 20  # of extensions that are moved [m]; evaluations for each of them at most
 BROKEN = 10.0  # times its cost, that a motion counts which breaks a limit or was not found
 
@@ -43,9 +44,9 @@ class Chain:
     step: float  # [s], asked for
     legs: tuple[Stretch, ...]
     problems: tuple[Problem, ...]
-    start: float | None  # [m]; None: free
-    end: float | None  # [m]; None: free, or the start where that is free
+    pins: tuple[float | None, ...]  # extensions that are given before, between and after the legs [m]; None: free
     closed: bool  # whether it ends where it starts
+    known: dict[int, Evaluation]  # legs, by their number, whose motion is given
 
     @property
     def inner(self) -> tuple[tuple[float, float], ...]:
@@ -63,25 +64,42 @@ class Chain:
         return self.task.stretch(self.legs[i], start, end)
 
 
-def chain(task: Task, cost: str, grid: tuple[int, int], step: float) -> Chain:
-    """The `Chain` of a task with legs; its free ends are not known.
+def chain(
+    task: Task, cost: str, grid: tuple[int, int], step: float, known: dict[int, Evaluation] | None = None
+) -> Chain:
+    """The `Chain` of a task with legs.
+
+    Args:
+        task: The task.
+        cost: What to minimise, a name of `costs.COSTS`.
+        grid: Coarse grid of the search.
+        step: Length of a stage [s].
+        known: Legs, by their number, whose motion is given.
 
     Raises:
         InputError: A given start or end is not feasible, or none is feasible at both where it closes.
         InfeasibleError: The tool cannot follow a leg, whatever the extension.
     """
+    known = known or {}
     legs = tuple(each for each in task.stretches if not each.waits)
-    problems = []
+    problems, last = [], len(legs) - 1
     for i, each in enumerate(legs):
-        last = task.end if i == len(legs) - 1 else "free"
-        alone = task.stretch(each, task.start if i == 0 else "best", last)
+        alone = task.stretch(each, task.start if i == 0 else "best", task.end if i == last else "free")
         with named(i):
             problems.append(stages.discretise(alone, stage_length(alone, cost, step)))
-    with named(0):
-        start = starts.start_position(problems[0], task.start)
-    with named(len(legs) - 1):
-        end = starts.end_position(problems[-1], start)
-    return Chain(task, cost, grid, step, legs, tuple(problems), start, end, task.end == "same")
+    pins: list[float | None] = [None] * (len(legs) + 1)
+    for i, each in known.items():
+        pins[i], pins[i + 1] = float(each.motion.position[0]), float(each.motion.position[-1])
+    closed = task.end == "same"
+    if pins[0] is None:
+        with named(0):
+            pins[0] = starts.start_position(problems[0], task.start)
+    if closed and pins[0] is None:
+        pins[0] = pins[-1]
+    if pins[-1] is None:
+        with named(last):
+            pins[-1] = starts.end_position(problems[-1], pins[0])
+    return Chain(task, cost, grid, step, legs, tuple(problems), tuple(pins), closed, known)
 
 
 @contextmanager
@@ -101,15 +119,21 @@ def coarse(given: Chain) -> np.ndarray:
     Args:
         given: The chain.
     """
-    if not given.closed or given.start is not None:
-        return _forward(given, _backward(given, given.grid, given.end), given.start)
+    if not given.closed or given.pins[0] is not None:
+        return _forward(given, _backward(given, given.grid, given.pins), given.pins)
     nodes = tuple(max(3, round(CLOSED_GRID * count)) for count in given.grid)
     found = []
-    for start in closed_cycle.common_lengths(given.problems[0], given.problems[-1]):
-        policies = _backward(given, (nodes[0], nodes[1]), float(start))
-        found.append((float(np.interp(start, *at_rest(policies[0]))), float(start)))
-    _, best = min(found)
-    return _forward(given, _backward(given, given.grid, best), best)
+    for start in closed_cycle.common_lengths(given.problems[0], given.problems[-1]).tolist():
+        first = _backward(given, (nodes[0], nodes[1]), _closing(given.pins, start))[0]
+        assert first is not None  # or the start would be given
+        found.append((float(np.interp(start, *at_rest(first))), start))
+    pins = _closing(given.pins, min(found)[1])
+    return _forward(given, _backward(given, given.grid, pins), pins)
+
+
+def _closing(pins: Pins, start: float) -> Pins:
+    """Given extensions, with a start that is the end as well."""
+    return (start, *pins[1:-1], start)
 
 
 def at_rest(policy: Policy) -> tuple[np.ndarray, np.ndarray]:
@@ -118,22 +142,23 @@ def at_rest(policy: Policy) -> tuple[np.ndarray, np.ndarray]:
     return nodes, value_function.from_rest(policy)
 
 
-def _backward(given: Chain, nodes: tuple[int, int], end: float | None) -> list[Policy]:
-    """The policies of all legs, from the last one on; each knows what the legs after it cost from where it ends."""
-    policies: list[Policy] = []
+def _backward(given: Chain, nodes: tuple[int, int], pins: Pins) -> list[Policy | None]:
+    """The policies of all legs, None for known ones; from the last one on, each knows what those after it cost."""
+    policies: list[Policy | None] = []
     terminal: Terminal | None = None
     for i in reversed(range(len(given.legs))):
-        start = given.start if i == 0 else None
-        last = end if i == len(given.legs) - 1 else None
+        start, end = pins[i], pins[i + 1]
 
         def shown(policy: Policy, start: float | None = start) -> list[Motion]:
             return [value_function.rollout(policy, value_function.best_start(policy) if start is None else start)]
 
-        with named(i):
-            policy, _ = coarse_policy(given.problems[i], nodes, given.cost, shown, last, terminal=terminal)
+        policy = None
+        if i not in given.known:
+            after = None if end is not None else terminal
+            with named(i):
+                policy, _ = coarse_policy(given.problems[i], nodes, given.cost, shown, end, terminal=after)
+            terminal = _then(given.problems[i - 1], given.cost, *at_rest(policy)) if i else None
         policies.insert(0, policy)
-        if i:
-            terminal = _then(given.problems[i - 1], given.cost, *at_rest(policy))
     return policies
 
 
@@ -143,12 +168,19 @@ def _then(problem: Problem, cost: str, nodes: np.ndarray, costs: np.ndarray) -> 
     return lambda position, velocity: np.interp(position, nodes, costs) + steep * np.abs(velocity)
 
 
-def _forward(given: Chain, policies: Sequence[Policy], start: float | None) -> np.ndarray:
-    """Extensions that the policies lead through from a start [m]; None: from the best one."""
-    at = [value_function.best_start(policies[0]) if start is None else start]
-    for policy, (low, high) in zip(policies, given.inner[1:], strict=True):
-        moved = value_function.rollout(policy, at[-1])
-        at.append(float(np.clip(moved.position[-1], low, high)))
+def _forward(given: Chain, policies: Sequence[Policy | None], pins: Pins) -> np.ndarray:
+    """Extensions that the policies lead through [m], (legs + 1,), but for those that are given."""
+    first = pins[0]
+    if first is None:
+        assert policies[0] is not None  # or it would be given
+        first = value_function.best_start(policies[0])
+    at = [first]
+    for policy, pin, (low, high) in zip(policies, pins[1:], given.inner[1:], strict=True):
+        if pin is not None:
+            at.append(pin)
+            continue
+        assert policy is not None
+        at.append(float(np.clip(value_function.rollout(policy, at[-1]).position[-1], low, high)))
     return np.array(at)
 
 
@@ -167,6 +199,8 @@ class Mover:
 
     def leg(self, i: int, start: float, end: float) -> Evaluation | None:
         """A leg from a start to an end [m], polished; None where nothing is found."""
+        if i in self.given.known:
+            return self.given.known[i]
         key = i, round(start, 9), round(end, 9)
         if key not in self._known:
             self._known[key] = polished(self._polishers[i], self._seeds[i], start, end, self._switches[i])
@@ -212,10 +246,8 @@ class Mover:
     @property
     def free(self) -> list[int]:
         """Which extensions may move; the last one of a closed cycle moves with the first."""
-        given, last = self.given, len(self.given.legs)
-        inner = list(range(1, last))
-        first = [0] if given.start is None else []
-        return [*first, *inner, *([last] if given.end is None and not given.closed else [])]
+        pins = self.given.pins[:-1] if self.given.closed else self.given.pins
+        return [k for k, pin in enumerate(pins) if pin is None]
 
     @property
     def bounds(self) -> list[tuple[float, float]]:

@@ -32,7 +32,9 @@ TIMES = 300  # of the grid on which time is shared
 Curve = tuple[np.ndarray, np.ndarray]  # durations of a leg [s], and what it costs in them
 
 
-def share(task: Task, cost: str, method: Method, tell: Progress, settings: Settings) -> Task:
+def share(
+    task: Task, cost: str, method: Method, tell: Progress, settings: Settings, given: dict[int, Evaluation]
+) -> Task:
     """The task with a duration chosen for every leg that has a range.
 
     Args:
@@ -41,6 +43,7 @@ def share(task: Task, cost: str, method: Method, tell: Progress, settings: Setti
         method: How each leg is planned.
         tell: Called with what happens and the share done.
         settings: Of the plan; the curves are made of quick ones.
+        given: Legs, by their number from 0, whose motion is given.
 
     Raises:
         InputError: The total is out of reach of the legs as they are.
@@ -55,7 +58,7 @@ def share(task: Task, cost: str, method: Method, tell: Progress, settings: Setti
     times = _evenly(task, spans)
     for count, part in zip(SAMPLES, (1.0, CLOSER), strict=True):
         tell("time of the legs", 0.01)
-        known = cycles.legs(_lasting(task, times), cost, method, tell, quick)
+        known = cycles.legs(_lasting(task, times), cost, method, tell, quick, given)
         near = [
             (max(low, t - 0.5 * part * (high - low)), min(high, t + 0.5 * part * (high - low)))
             if part < 1.0 else (low, high)
