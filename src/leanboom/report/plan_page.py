@@ -127,7 +127,7 @@ def _cards(plan: Plan) -> list[tuple[str, str, str]]:
     if plan.solved:
         fuel = energy_section.per_hour(judged, plan.pump)
         cards.append(("Diesel an hour", fuel, "if repeated without pause; assumed below"))
-    return [*cards, ("Time", f"{plan.task.duration:g} s", f"planned in {plan.motion.solve_s:.1f} s")]
+    return [*cards, ("Time", f"{plan.task.duration:.4g} s", f"planned in {plan.motion.solve_s:.1f} s")]
 
 
 def _bars(plan: Plan, motions: dict[str, Evaluation]) -> list[tuple[str, float, str, str]]:
