@@ -18,7 +18,7 @@ from leanboom.model import crane as cranes
 from leanboom.model import motion
 from leanboom.model.pump_flow import pump_flow
 from leanboom.model.task import Limits, Lines, Task
-from leanboom.problem import stages
+from leanboom.problem import least_flow, stage_arrays, stages
 from slow_bounds import quiet
 
 
@@ -96,7 +96,7 @@ def test_bound_never_exceeds_the_brute_force_optimum(larger_cells, seed, pump):
 @pytest.mark.parametrize("pump", ["cp", "ls"])
 @pytest.mark.parametrize("seed", [1, 4])
 def test_bound_never_exceeds_the_brute_force_optimum_within_the_pumps_flow(seed, pump):
-    """The limit makes motions dearer: what is proven without it holds, and the motion beside it keeps the limit."""
+    """The limit makes motions dearer, and takes velocities away; the motion beside the bound keeps it."""
     task = small_task(seed)
     problem = stages.discretise(task, task.duration / 4.0)
     start = 0.5 * (problem.lower[0] + problem.upper[0])
@@ -104,16 +104,54 @@ def test_bound_never_exceeds_the_brute_force_optimum_within_the_pumps_flow(seed,
     assert best is not None
     pose = cranes.pose(problem.crane, problem.plane[:-1], best.position[:-1])
     most = pump_flow(problem.crane.drives, cranes.move(pose, best.velocity[:-1], best.acceleration).velocity).max()
-    tight = replace(task.machine, pump=replace(task.machine.pump, max_flow=0.999 * float(most)))
-    limited = stages.discretise(replace(task, machine=tight, limits=Limits(pump_flow=True)), problem.step)
-    least, slower = slow_bounds.least_energy(limited, pump, start, 9)
+    within = stages.discretise(limited(task, 0.999 * float(most)), problem.step)
+    least, slower = slow_bounds.least_energy(within, pump, start, 9)
     assert slower is not None and least > free
-    assert not upper_bound.measure(limited, best, pump).keeps_limits
-    assert upper_bound.measure(limited, slower, pump).keeps_limits
-    found = lower_bounds.bound(partition.whole(limited, pump, slower, (2, 2)), start, quiet, coarse=True)
+    assert not upper_bound.measure(within, best, pump).keeps_limits
+    assert upper_bound.measure(within, slower, pump).keeps_limits
+    found = lower_bounds.bound(partition.whole(within, pump, slower, (2, 2)), start, quiet, coarse=True)
     assert 0.0 < found.lower <= least * (1.0 + 1e-9)
-    costs = upper_bound.measure(limited, slower, pump).costs
+    costs = upper_bound.measure(within, slower, pump).costs
     assert lower_bounds.residuals(found, slower, costs).min() >= -1e-9 * least
+
+
+def limited(task: Task, flow: float) -> Task:
+    """A task whose pump gives a flow [m^3/s] and no more."""
+    machine = replace(task.machine, pump=replace(task.machine.pump, max_flow=flow))
+    return replace(task, machine=machine, limits=Limits(pump_flow=True))
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_velocities_that_keep_the_pumps_flow_are_kept(seed, rng):
+    """Random states of every stage: what keeps the limit is within its row's velocities, and some are left out."""
+    task = small_task(seed)
+    free = stages.discretise(task, task.duration / 4.0)
+    flow = 1.2 * float(least_flow.least_flow(free).max())
+    problem = stages.discretise(limited(task, flow), free.step)
+    limit = task.machine.redundant.velocity_limit
+    kept = partition.whole(problem, "cp", times=(2, 2))
+    for k in range(1, problem.stages):
+        rows = kept.rows[k]
+        columns = np.tile([-limit, limit], (rows.size - 1, 1))
+        most = float(stage_arrays.most_flow(problem)[k])
+        found = partition.flow_columns(kept.model[k], kept.cylinder, most, columns)
+        c, w = rng.uniform(rows[0], rows[-1], 3000), rng.uniform(-limit, limit, 3000)
+        row = np.clip(np.searchsorted(rows, c) - 1, 0, rows.size - 2)
+        velocity = cranes.move(cranes.pose(problem.crane, problem.plane[k], c), w, 0.0).velocity
+        keeps = pump_flow(problem.crane.drives, velocity) <= flow
+        inside = (found[row, 0] <= w) & (w <= found[row, 1])
+        assert keeps.any() and np.all(inside[keeps]) and not inside.all()
+        beyond = np.maximum(found[:, 0] - kept.columns[k][:, 0], kept.columns[k][:, 1] - found[:, 1])
+        assert beyond.max() <= limit / 64.0  # two strips, for strips that begin elsewhere and the judge's tolerance
+
+
+def test_a_flow_that_no_motion_can_do_with_is_proven_to_be_too_little():
+    task = small_task(1)
+    free = stages.discretise(task, task.duration / 8.0)
+    need = float(least_flow.least_flow(free).max())
+    for share, proven in ((0.8, True), (1.5, False)):
+        problem = stages.discretise(limited(task, share * need), free.step)
+        assert lower_bounds.excludes_motion(problem, None) is proven
 
 
 def energy_behind(kept: partition.Cells, k: int, position: float, velocity: float) -> float:

@@ -12,6 +12,7 @@ import numpy as np
 from leanboom.certificate import cell_enclosures, position_rows, viability
 from leanboom.certificate.cell_enclosures import L_DW, L_J, L_W, LATTICE, Stage
 from leanboom.certificate.viability import Viable
+from leanboom.evaluation.limit_checks import TOLERANCE
 from leanboom.model.motion import Motion
 from leanboom.problem import layout, stage_arrays
 from leanboom.problem.stages import Problem
@@ -19,6 +20,7 @@ from leanboom.problem.stages import Problem
 VELOCITY = 0.01  # [m/s], largest height of a cell of the first level
 COARSE = ((16, 8), (8, 4), (4, 2))  # how many times wider and higher cells are where time is short
 AT_REST = 1e-6  # [m/s], velocity below which a motion ends at rest
+FLOW_STRIPS = 256  # parts of the velocity range, in each of which the pump's flow is enclosed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,10 +131,13 @@ def made_of(
     cylinder = stage_arrays.cylinder_table(problem, cost)
     setting = stage_arrays.setting(problem, cost, (0.0, 0.0, 0.0, 0.0, 0.0), share=1.0)
     model = position_rows.enclosures(problem, rows[:n])
+    most = stage_arrays.most_flow(problem) + (TOLERANCE - 1.0) * problem.crane.machine.pump.max_flow
     columns = [np.tile([-limit, limit], (edges.size - 1, 1)) for edges in rows]
     edges = [np.zeros((stage.shape[0], count + 1)) for stage, count in zip(model, counts, strict=True)]
     for k, stage in enumerate(model):
         cell_enclosures.velocity_columns(stage, cylinder, columns[k])
+        if problem.task.limits.pump_flow:
+            columns[k] = flow_columns(stage, cylinder, float(most[k]), columns[k])
         cell_enclosures.place_edges(stage, setting, lattice[k], edges[k])
     edges.append(np.zeros((rows[n].size - 1, 2)))
     columns[n] = np.zeros((rows[n].size - 1, 2))  # the end: at rest
@@ -148,6 +153,32 @@ def made_of(
         low, high = viable.within(k, share[:-1], share[1:])
         columns[k][:, 0], columns[k][:, 1] = np.maximum(columns[k][:, 0], low), np.minimum(columns[k][:, 1], high)
     return cells
+
+
+def flow_columns(model: np.ndarray, cylinder: np.ndarray, most: float, columns: np.ndarray) -> np.ndarray:
+    """Velocities of each row at which some state of it may keep within the pump's flow [m/s], (rows, 2).
+
+    Args:
+        model: Enclosures of the coefficients over the rows, (rows, moving, COEFFICIENTS, 4).
+        cylinder: (moving, layout.CYLINDER_COLUMNS).
+        most: Flow that the moving cylinders may take together [m^3/s].
+        columns: Velocities that are looked at, (rows, 2); where there are none, the lower end is above the upper one.
+    """
+    low, high = columns.T
+    ends = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, FLOW_STRIPS + 1)
+    p0, p1, p2, error = np.moveaxis(model[:, :, [layout.A0, layout.A1]], 3, 0)
+    middle, reach = p0 + 0.5 * p2, np.abs(p1) + 0.5 * np.abs(p2) + error  # (rows, moving, 2)
+    lowest, highest = middle - reach, middle + reach
+    # A velocity a0 + a1 w is least and largest at ends of a1 and of a strip of w.
+    products = [slope[:, :, 1, None] * w[:, None] for slope in (lowest, highest) for w in (ends[:, :-1], ends[:, 1:])]
+    slowest = lowest[:, :, 0, None] + np.minimum.reduce(products)  # (rows, moving, strips)
+    fastest = highest[:, :, 0, None] + np.maximum.reduce(products)
+    out, back = cylinder[:, layout.FLOW_OUT, None], cylinder[:, layout.FLOW_IN, None]
+    keeps = np.maximum(np.maximum(out * slowest, -back * fastest), 0.0).sum(axis=1) <= most
+    first, last = keeps.argmax(axis=1), FLOW_STRIPS - keeps[:, ::-1].argmax(axis=1)
+    rows = np.arange(low.size)
+    narrowed = np.stack([ends[rows, first], ends[rows, last]], axis=1)
+    return np.where((keeps.any(axis=1) & (low <= high))[:, None], narrowed, (np.inf, -np.inf))
 
 
 def _fixed(problem: Problem, cost: str) -> np.ndarray:
