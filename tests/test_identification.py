@@ -258,6 +258,18 @@ def test_too_little_motion_is_said(slow, draft, tmp_path):
     assert "tilt_force" not in {fit.signal for fit in found.fits}
 
 
+def test_bodies_of_which_a_log_tells_nothing_stay_as_drafted(slow, draft, tmp_path, rng):
+    """The lift alone moves, and little, its pressure wanders: that made masses of tonnes behind the crane."""
+    few = {n: v for n, v in slow.items() if n.startswith(("time", "lift_rad", "lift_pressure"))}
+    middle = few["lift_rad"][0]
+    few["lift_rad"] = middle + 0.2 * (few["lift_rad"] - middle)
+    few["lift_pressure_a_pa"] += 3e6 * np.interp(few["time_s"], np.arange(41.0), rng.normal(size=41))
+    found = identify([known.write_log(tmp_path / "log.csv", few)], draft)
+    assert not any(each.identifiable for each in found.estimates if each.name.startswith("gravity"))
+    assert found.machine.bodies == draft.bodies
+    assert any("keeps the draft's bodies" in line for line in found.said)
+
+
 def test_a_log_without_motion_is_refused(slow, draft, tmp_path):
     still = {n: v if n == "time_s" else np.full_like(v, 0.0 if "command" in n else v[0]) for n, v in slow.items()}
     assert "moves over 0.0 % of its range" in refusal(still, draft, tmp_path)

@@ -301,7 +301,7 @@ def identified(console: Console, found: Identification, out: Path | None) -> Non
     console.print(errors)
     untold = [each.name for each in found.estimates if not each.identifiable]
     if untold:
-        console.print(f"Not told by the logs, kept near the draft: {', '.join(untold)}", highlight=False)
+        console.print(f"Not told by the logs by themselves: {', '.join(untold)}", highlight=False)
     for line in found.said:
         console.print(line, highlight=False, markup=False)
     console.print(

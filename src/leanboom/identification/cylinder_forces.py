@@ -212,6 +212,7 @@ class _Problem:
         self.triangles = [self._compressed(i) for i in range(len(rows))]
         self.sigma = np.array([float(np.std(each.force)) or 1.0 for each in rows])
         self.faults: tuple[Finding, ...] = ()
+        self.floor: list[float] = []
 
     def _level(self, i: int, steps: np.ndarray | None, extension: np.ndarray) -> np.ndarray | float:
         if steps is None or i != self.stepped:
@@ -286,8 +287,12 @@ class _Problem:
         self._minimise(self.x)
 
     def _signs(self) -> None:
-        """Joints whose friction, free of bounds, would drive them, or whose forces fit better with chambers swapped."""
+        """Joints whose friction, free of bounds, would drive them, or whose forces fit better with chambers swapped.
+
+        What such a fit, free of the draft too, leaves is kept as the floor of the errors.
+        """
         negative = []
+        self.floor = []
         for each in self.rows:
             used = each.training
             columns = np.column_stack([each.columns, each.sign])[used]
@@ -295,6 +300,7 @@ class _Problem:
             columns = columns[:, scale > 1e-9 * scale.max()] / scale[scale > 1e-9 * scale.max()]
             found = np.linalg.lstsq(columns, each.force[used], rcond=1e-6)[0]
             residual = each.force[used] - columns @ found
+            self.floor.append(float(np.sqrt(np.mean(residual**2))))
             other = each.swapped[used] - columns @ np.linalg.lstsq(columns, each.swapped[used], rcond=1e-6)[0]
             better = np.sum(other**2) < FAR_BETTER**2 * np.sum(residual**2)
             spread = np.linalg.pinv(columns.T @ columns, rcond=1e-9, hermitian=True)
@@ -339,7 +345,10 @@ class _Problem:
     def _reweigh(self) -> None:
         for i, each in enumerate(self.rows):
             error = self._predict(self.x, i, each.training)[0] - each.force[each.training]
-            self.sigma[i] = max(float(np.sqrt(np.mean(error * error))), 1.0)
+            square = min(float(np.mean(error * error)), self.floor[i] ** 2)
+            # Errors hang together over a block, whose rows count as one: more would drown what the draft says.
+            rows = error.size / np.unique(each.block[each.training]).size
+            self.sigma[i] = max(float(np.sqrt(rows * square)), 1.0)
 
     def _try_steps(self) -> None:
         from scipy.optimize import least_squares
@@ -422,7 +431,10 @@ class _Problem:
             name = f"{each.joint}_force"
             fits.append(compare(name, each.force, model, each.training))
             series[name] = (each.time, each.force, model, each.training)
-        return Fitted(self._machine(), tuple(estimates), tuple(fits), series, tuple(remarks), self.faults)
+        told = any(each.identifiable for each in estimates[: len(BASE)])
+        if not told:
+            remarks.append("the logs tell no sum over bodies: the machine file keeps the draft's bodies")
+        return Fitted(self._machine(told), tuple(estimates), tuple(fits), series, tuple(remarks), self.faults)
 
     def _names(self) -> list[str]:
         names = [f"bodies.{b.name}.{key}" for b in self.bodies for key in ("mass", "along", "above", "inertia")]
@@ -444,11 +456,16 @@ class _Problem:
         )
         return Estimate.within(name, value, half, bool(known), note)
 
-    def _machine(self) -> Machine:
+    def _machine(self, told: bool) -> Machine:
+        """The machine with what was found; with the draft's bodies where nothing is told of them."""
         values = [kept(value) for value in self.x.tolist()]
-        bodies = tuple(
-            replace(b, **dict(zip(("mass", "along", "above", "inertia"), values[4 * i : 4 * i + 4], strict=True)))
-            for i, b in enumerate(self.bodies)
+        bodies = (
+            self.bodies
+            if not told
+            else tuple(
+                replace(b, **dict(zip(("mass", "along", "above", "inertia"), values[4 * i : 4 * i + 4], strict=True)))
+                for i, b in enumerate(self.bodies)
+            )
         )
         cylinders = list(self.machine.cylinders)
         for i, each in enumerate(self.rows):
