@@ -12,7 +12,8 @@ import pytest
 import leanboom as lb
 from bundled_texts import edited, problems, written
 from command_line import leanboom
-from leanboom.certificate.certificate import certify
+from leanboom.certificate import certificate
+from leanboom.certificate.certificate import Certificate, certify
 from leanboom.components.pumps import EfficiencyMap
 from leanboom.errors import InputError
 from leanboom.io.loading import dump_task
@@ -24,6 +25,7 @@ from leanboom.planning import junctions, planner, summaries, time_sharing
 from leanboom.problem import stages
 from leanboom.report import run_folder
 from leanboom.simulation.closed_loop import simulate
+from leanboom.study.pareto import pareto
 
 DOWN, UP = ([5.5, 0.0, 4.64], [5.5, 0.0, 1.60]), ([5.5, 0.0, 1.60], [5.5, 0.0, 4.64])
 VERTICAL = lb.load_task("forwarder-vertical", start="middle")
@@ -169,6 +171,7 @@ def test_a_closed_cycle_with_two_payloads_is_planned_and_costs_no_more_than_legs
     assert plan.evaluation.energy_cp <= greedy * (1.0 + 1e-6)
 
 
+@pytest.mark.slow
 def test_no_pair_of_extensions_on_a_grid_makes_a_cheaper_cycle():
     """Every start and every extension between the legs, each leg planned by itself; with the best start of all."""
     free = replace(CYCLE, start="best")
@@ -188,6 +191,7 @@ def test_no_pair_of_extensions_on_a_grid_makes_a_cheaper_cycle():
     assert found.evaluation.energy_cp <= 1.001 * min(costs)
 
 
+@pytest.mark.slow
 def test_a_method_that_leaves_the_end_free_plans_legs_one_after_another():
     free = replace(CYCLE, end="free")
     found = planner.run(free, pump="cp", method="sns-actuator", check=False, **QUICK)
@@ -232,10 +236,9 @@ def test_commands_show_and_plan_a_cycle(tmp_path):
 @pytest.mark.parametrize(
     "use",
     [
-        lambda task, moved: certify(task, "cp", motion=moved),
-        lambda task, moved: lb.replan(task, 1.0, 0.7, 0.0),
         lambda task, moved: lb.plan_receding(task),
         lambda task, moved: lb.compare(task),
+        lambda task, moved: pareto(task),
         simulate,
     ],
 )
@@ -244,10 +247,54 @@ def test_what_takes_single_paths_says_so(use):
         use(CYCLE, held(CYCLE, (0.7, 0.7, 0.7)))
 
 
+def test_a_motion_alone_holds_no_timing_of_legs():
+    with pytest.raises(InputError, match=r"legs\[0\] leaves its timing to be planned; a motion alone has none: use"):
+        lb.plan(replace(CYCLE, legs=(replace(CYCLE.legs[0], timing="free"), CYCLE.legs[1])))
+
+
 def test_a_start_that_the_cycle_cannot_come_back_to_is_named_with_its_leg():
     apart = replace(CYCLE, legs=(Leg(payload=0.0, path=lb.load_task("forwarder-horizontal").path),), start="smallest")
     with pytest.raises(InputError, match=r"leg 1: end = same, and the start is .* m; feasible at the end of this path"):
         planner.run(apart, pump="cp", **QUICK)
+
+
+# Proofs, and on the way
+
+
+def test_the_bound_of_a_cycle_is_the_sum_of_those_of_its_legs_from_and_to_any_extension(plan, monkeypatch):
+    asked = []
+
+    def bounded(leg, pump, *, motion, step, seconds, gap, progress):
+        asked.append((leg.start, leg.end, leg.payload, seconds))
+        return Certificate(leg, pump, step, motion, 0.0, 1e4 * len(asked), 1.0, (), "", 2.0, None)
+
+    monkeypatch.setattr(certificate, "certify", bounded)
+    proof = certify(CYCLE, "cp", motion=plan.motion, step=0.2, seconds=8.0)
+    end = pytest.approx(plan.motion.position[-1])
+    assert asked == [("middle", "free", 0.0, 4.0), ("best", end, 250.0, 4.0)]
+    assert (proof.lower_bound_j, proof.certify_s, proof.processor_s) == (3e4, 2.0, 4.0)
+    assert proof.energy_j == pytest.approx(plan.evaluation.energy_cp, rel=0.02)
+    assert proof.json()["certify_reason"] == "each leg bounded from and to any extension"
+    asked.clear()
+    certify(replace(CYCLE, start="best"), "cp", motion=plan.motion, step=0.2, seconds=8.0)
+    assert [each[:2] for each in asked] == [("best", "free"), ("best", "free")]
+    with pytest.raises(InputError, match="motion = nothing; task cycle has legs, whose certificate needs the motion"):
+        certify(CYCLE, "cp")
+
+
+def test_the_rest_of_a_leg_is_planned_again_to_where_the_next_begins(plan):
+    time = 9.0  # two seconds into the loaded leg
+    c, w, _ = plan.motion.at(np.array([time]))
+    rest = lb.replan(CYCLE, time, float(c[0]) + 1e-3, float(w[0]), pump="cp", around=plan.motion)
+    assert rest.solved and rest.task.payload == 250.0
+    assert rest.since == time and rest.motion.duration == pytest.approx(4.0)
+    assert rest.motion.position[-1] == pytest.approx(plan.motion.position[-1], abs=1e-9)
+    again = lb.replan(CYCLE, 9.5, *(float(each[0]) for each in rest.at(np.array([9.5]))[:2]), pump="cp", around=rest)
+    assert again.solved and again.motion.duration == pytest.approx(3.5)
+    with pytest.raises(InputError, match="time = 6 s; the crane waits until 7 s: plan again once it moves"):
+        lb.replan(CYCLE, 6.0, 0.7, 0.0, around=plan.motion)
+    with pytest.raises(InputError, match="around = nothing; task cycle has legs: hand in its plan's motion"):
+        lb.replan(CYCLE, 1.0, 0.7, 0.0)
 
 
 # Time shared among legs
@@ -268,6 +315,7 @@ def test_time_is_shared_so_that_the_sum_of_costs_is_least():
     assert time_sharing._shared(task, broken, spans, [3.0, 3.0]) == pytest.approx([3.0, 3.0], abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_duration_is_chosen_at_the_price_of_time():
     """A pump with losses that rise with the square of its flow likes it slow, time is paid for: no other is better."""
     levels, shares = (5e6, 15e6, 25e6), (((0.8, 0.86, 0.88), (0.7, 0.79, 0.82), (0.55, 0.68, 0.74)),)
@@ -313,6 +361,7 @@ def test_a_fastest_leg_comes_first_and_the_others_meet_it(plan, monkeypatch):
     assert asked[1] == ("best", 0.6, 250.0)
 
 
+@pytest.mark.slow
 def test_speed_along_a_leg_is_freed_between_the_extensions_found(plan, monkeypatch):
     """The leg is planned again with a free timing from the motion known, and no worse one is taken."""
     asked, run = [], planner.run

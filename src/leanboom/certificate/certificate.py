@@ -25,12 +25,14 @@ from leanboom.errors import InfeasibleError, InputError
 from leanboom.fixed_mode import modes
 from leanboom.methods.dp_refined import Search
 from leanboom.methods.registry import GRID, STEP
+from leanboom.model import motion as motions
 from leanboom.model.motion import Motion
-from leanboom.model.task import Task, take_single
+from leanboom.model.task import Task
 from leanboom.problem import stages, starts
 from leanboom.progress import Progress
 from leanboom.quantities.ranges import STAGE, checked, noted, one_of
 
+BY_LEGS = "each leg bounded from and to any extension"
 SECONDS, GAP = 60.0, 0.5  # time for a proof [s] and gap at which it ends [%], by default
 
 
@@ -45,7 +47,7 @@ class Certificate:
     energy_j: float  # its energy there [J]
     lower_bound_j: float  # no motion takes less [J]
     certify_s: float  # time by the clock, planning not included [s]
-    levels: tuple[Level, ...]  # at least one
+    levels: tuple[Level, ...]  # at least one; none of a task with legs
     reason: str  # why bounding ended
     processor_s: float  # processor time of it, all threads together [s]
     more_time: Outlook | None  # None where time was not what bounding lacked
@@ -88,9 +90,9 @@ def certify(
     """Prove how far a plan can be from the global optimum of its discretised problem.
 
     Args:
-        task: What to do; `task.start` says where the redundant cylinder starts.
+        task: What to do; `task.start` says where the redundant cylinder starts. With legs, the task of a plan.
         pump: "ls" or "cp": whose energy counts.
-        motion: The motion to compare with, from the task's start; by default the planner's.
+        motion: The motion to compare with, from the task's start; by default the planner's. Of legs it must be given.
         step: Length of a stage [s].
         seconds: Time after which bounding ends, planning not included [s]: processor time on every processor used,
             and twice as much by the clock at most. The coarsest level is finished however short it is.
@@ -106,9 +108,10 @@ def certify(
     """
     tell = progress or (lambda text, share: None)
     check(pump, step, seconds, gap)
-    take_single(task, "a certificate")
     if not provable(task):
         raise InputError("pump.efficiency is a map; a certificate needs a constant efficiency")
+    if task.legs:
+        return _of_legs(task, pump, motion, step, seconds, gap, tell)
     if motion is None:
         motion = _planned(task, pump, step, tell)
     tell("loading kernels of the bounds", 0.0)
@@ -142,6 +145,37 @@ def certify(
         task, pump, problem.step, best.motion, best.energy, course.lower, budget.gone, levels, course.reason,
         budget.processor, course.outlook(levels) if course.reason == refinement.TIME_IS_OVER else None,
     )  # fmt: skip
+
+
+def _of_legs(
+    task: Task, pump: str, motion: Motion | None, step: float, seconds: float, gap: float, tell: Progress
+) -> Certificate:
+    """The certificate of a task with legs: the sum of bounds of its legs.
+
+    Each leg is bounded from and to any extension, but for a given start or end of the whole. Whatever the extensions
+    between legs are, no leg takes less, so no cycle takes less than all of them; what the legs hand on to each other
+    is left out, so the gap is larger than that of one leg.
+    """
+    if motion is None:
+        raise InputError(f"motion = nothing; task {task.name} has legs, whose certificate needs the motion of a plan")
+    if abs(motion.duration - task.duration) > 1e-6 * task.duration:
+        raise InputError(
+            f"motion takes {motion.duration:g} s; the task takes {task.duration:g} s: use that of the plan"
+        )
+    legs = [each for each in task.stretches if not each.waits]
+    lower = energy = clock = processor = 0.0
+    for i, each in enumerate(legs):
+        part = motions.between(motion, each.since, each.until)
+        start = task.start if i == 0 else "best"
+        end = task.end if i == len(legs) - 1 and task.end != "same" else "free"
+        if task.end == "same" and i == len(legs) - 1 and task.start != "best":
+            end = float(motion.position[-1])
+        leg = task.stretch(each, start, end)
+        proof = certify(leg, pump, motion=part, step=step, seconds=seconds / len(legs), gap=gap, progress=tell)
+        problem = stages.discretise(leg, step)
+        energy += upper_bound.measure(problem, stages.on_stages(problem, part), pump).energy
+        lower, clock, processor = lower + proof.lower_bound_j, clock + proof.certify_s, processor + proof.processor_s
+    return Certificate(task, pump, step, motion, energy, lower, clock, (), BY_LEGS, processor, None)
 
 
 def provable(task: Task) -> bool:

@@ -33,7 +33,8 @@ def certificate(console: Console, proof: Certificate) -> None:
             f"{level.gap_percent:.2f}", f"{level.seconds:.1f}",
         )  # fmt: skip
     console.print(f"{shortened(proof.task.name, 80)}, {PUMPS[proof.pump]}: what is proven", markup=False)
-    console.print(table)
+    if proof.levels:
+        console.print(table)
     lines = [
         ("Best known motion", f"{proof.energy_j / 1e3:.3f} kJ over stages of {proof.step:g} s"),
         ("No motion below", f"{proof.lower_bound_j / 1e3:.3f} kJ"),

@@ -122,6 +122,11 @@ def plan(
     """
     if task.timing != "fixed":
         raise InputError(f"timing = {task.timing}; a motion alone has no timing of the path: use leanboom.run(task)")
+    for i, leg in enumerate(task.legs):
+        if not leg.settled:
+            raise InputError(
+                f"legs[{i}] leaves its timing to be planned; a motion alone has none: use leanboom.run(task)"
+            )
     return run(
         task, pump=pump, cost=cost, method=method, grid=grid, step=step, effort=effort, seconds=seconds, gap=gap,
         warm_start=warm_start, baseline=False, check=check,

@@ -8,7 +8,7 @@ all feasible extensions comes first. Nothing is polished. The search over tubes 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from leanboom.evaluation.evaluate import Evaluation, evaluate, judged_cost
 from leanboom.evaluation.safe_stop import Continuation
 from leanboom.model import motion
 from leanboom.model.motion import Motion
-from leanboom.model.task import Task, take_single
+from leanboom.model.task import Task
 from leanboom.problem import feasible_strokes, stages, starts
 from leanboom.problem.stages import Problem
 from leanboom.quantities.ranges import Range, noted, one_of
@@ -99,18 +99,20 @@ def replan(
         position, velocity: Actual state of the redundant cylinder [m], [m/s].
         pump: "ls" or "cp", or another name of `costs.COSTS`: what to minimise.
         around: A motion on the task's clock to search around, for instance the previous plan: much quicker. Leave it
-            out where the path has changed by more than the tube is wide, a few centimetres of extension.
+            out where the path has changed by more than the tube is wide, a few centimetres of extension. With legs it
+            must be given: it says where each leg ends.
         grid: Position and velocity nodes of the coarse grid that is used without `around`.
         step: Length of a stage [s].
 
     Returns:
         The best motion found; following `around` is among the candidates. Where none keeps every limit, the safest
-        stop; its status says so.
+        stop; its status says so. With legs, the rest of the leg under way, to where `around` ends it: later legs stay.
 
     Raises:
         InputError: For a time that is not on the path, a state off the feasible extensions, or other bad arguments.
     """
-    take_single(task, "re-planning")
+    if task.legs:
+        return _in_leg(task, time, position, velocity, pump, around, grid, step)
     grid, step = _check(task, time, position, velocity, pump, grid, step, around)
     try:
         rest = safe_stop.rest(starts.settled(task, step), time)
@@ -160,6 +162,31 @@ def track(search: Search, around: Motion | Continuation, since: float) -> Motion
         speed[-1] = 0.0
     tracked = motion.from_velocities(problem.step, search.position, speed, "track", search.cost)
     return tracked if search.end is None else motion.ending_at(tracked, search.end)
+
+
+def _in_leg(
+    task: Task, time: float, position: float, velocity: float, pump: str, around: Motion | Continuation | None,
+    grid: tuple[int, int], step: float,
+) -> Continuation:  # fmt: skip
+    """The rest of the leg under way, ending where a motion of the whole task ends it; arguments as in `replan`."""
+    if around is None:
+        raise InputError(
+            f"around = nothing; task {task.name} has legs: hand in its plan's motion, which says where they end"
+        )
+    under_way = [each for each in task.stretches if each.since <= time < each.until]
+    if not under_way:
+        raise InputError(f"time = {time:g} s; must be from 0 s to before the end of the task at {task.duration:g} s")
+    leg = under_way[0]
+    if leg.waits:
+        raise InputError(f"time = {time:g} s; the crane waits until {leg.until:g} s: plan again once it moves")
+    end = float(around.at(np.array([leg.until]))[0][0])
+    if isinstance(around, Motion):
+        known: Motion | Continuation = motion.between(around, leg.since, leg.until)
+    else:
+        known = replace(around, since=around.since - leg.since)
+    alone = task.stretch(leg, end=end)
+    found = replan(alone, time - leg.since, position, velocity, pump=pump, around=known, grid=grid, step=step)
+    return replace(found, since=time)
 
 
 def _check(task, time, position, velocity, pump, grid, step, around) -> tuple[tuple[int, int], float]:

@@ -20,7 +20,7 @@ from leanboom.methods.registry import GRID, STEP
 from leanboom.model import motion
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import Kind, Outcome
-from leanboom.model.task import Task
+from leanboom.model.task import Task, take_single
 from leanboom.planning import planner
 from leanboom.planning.planner import Plan
 from leanboom.problem import least_flow
@@ -115,6 +115,7 @@ def pareto(
         InputError: For arguments or tasks that cannot be used.
         InfeasibleError: If the tool cannot follow the path, or no duration is feasible where none is given.
     """
+    take_single(task, "energy against duration")
     pumps = tuple(dict.fromkeys((pump,) if isinstance(pump, str) else pump))
     problems: list[str] = []
     if not pumps or any(name not in PUMPS for name in pumps):
