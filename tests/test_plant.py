@@ -283,7 +283,7 @@ def test_spools_wait_and_lag():
     spools = valve_sections.Spools(open_machine, 0.0005)
     travel = []
     for k in range(4000):
-        shares = spools.move(np.full(4, np.sin(2 * np.pi * 8.0 * 0.0005 * k)))
+        shares = spools.move(np.full(4, np.sin(2 * np.pi * 8.0 * 0.0005 * k)), 20e6)
         opened = shares[0] - shares[1]
         travel.append(np.sign(opened) * 0.5 * (np.sqrt(1.0 + 8.0 * abs(opened)) - 1.0))
     assert max(travel[2000:]) == pytest.approx(np.sqrt(0.5), rel=0.01)

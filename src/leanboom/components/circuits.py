@@ -10,6 +10,8 @@ from leanboom.quantities.types import (
     Delay,
     Flow,
     Frequency,
+    LeastFrequency,
+    LeastLength,
     PositivePressure,
     Pressure,
     PumpTime,
@@ -47,6 +49,21 @@ class Circuit:
     """Coulomb friction beside planning's, as a share of the cylinder's force at constant pressure."""
     seal_damping: Share = 0.0
     """Viscous friction at the velocity limit beside planning's, as a share of the same force."""
+    # What real cranes have besides; 0 leaves each out.
+    delay_slack: Delay = 0.0
+    """Further delay where the supply has no pressure, in proportion to what it lacks of the pump's highest; 0: none."""
+    hysteresis: Share = 0.0
+    """Play of the spool behind its command, as a share of its travel; 0: none."""
+    sensing_time: Delay = 0.0
+    """Time constant of the load pressure on its way to a load-sensing pump; 0: it arrives at once."""
+    tip_frequency: LeastFrequency = 0.0
+    """Of the tool's mass on the bending telescope; 0: it does not bend."""
+    tip_damping: Share = 0.05
+    """Damping ratio of that bending."""
+    hanging_length: LeastLength = 0.0
+    """From the tool to the centre of the load that hangs and swings there; 0: it does not swing."""
+    hanging_damping: Share = 0.05
+    """Damping ratio of that swing."""
 
     def __post_init__(self) -> None:
         hold_declared(self, "simulation")

@@ -304,6 +304,7 @@ FLOW = Range("flow", above=0)
 SPEED = Range("rotational speed", above=0)
 DISPLACEMENT = Range("displacement", above=0)
 FREQUENCY = Range("frequency", above=0)
+LEAST_FREQUENCY = Range("frequency", least=0, most=50)
 # Below the least the low pass of 2 ms samples is singular or inaccurate; the most is just below half their rate.
 CUTOFF = Range("frequency", least=0.01, most=240)
 MOMENT = 1e-4  # [s], shorter segments of a path are jumps

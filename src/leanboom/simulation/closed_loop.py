@@ -194,6 +194,8 @@ class _Run:
         start = planned.joint_position[0]
         state = controllers.resting(crane_plant, controllers.static_loads(crane_plant, start))
         state[crane_plant.layout.q] = start
+        if crane_plant.tip:
+            state[crane_plant.layout.bent] = crane_plant.tip.rest(start)
         if pump == "cp":
             state[crane_plant.layout.supply] = supply_of(machine.pump, Supply.CONSTANT)[0]
         self.states = np.empty((self.samples + 1, crane_plant.layout.size))
@@ -231,7 +233,7 @@ class _Run:
                 target_acceleration=planned.acceleration[at] if k < last else still,
             )
             np.clip(self._answer(controller, now), -1.0, 1.0, out=self.commands[k])
-            self.edges[k + delay + 1] = self.spools.move(self.commands[k])
+            self.edges[k + delay + 1] = self.spools.move(self.commands[k], now.supply)
             try:
                 self.states[k + 1] = self.integrator.advance(k + 1)
             except SolverError as error:
@@ -273,6 +275,9 @@ def _result(
     q = states[:, layout.q].copy()
     g = machine.geometry
     r, z = kinematics.tool_point(q[:, -3], q[:, -2], q[:, -1], g.base_x, g.base_z, g.boom, g.offset, g.outer)
+    if run.plant.tip:
+        bent = run.plant.tip.offset(q, states[:, layout.bent])
+        r, z = r + bent[0], z + bent[1]
     turned = q[:, 0] if g.slewing else np.zeros(count)
     target = planned.joint_position[np.minimum(np.arange(count), planned.time.size - 1)]
     supply, flow = states[:, layout.supply].copy(), observed["pump_flow"][:, 0]

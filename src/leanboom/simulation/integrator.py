@@ -16,8 +16,8 @@ from leanboom.simulation.plant import Plant, bind
 
 TOLERANCE = 1e-6  # relative, of all states
 LONGEST = 10  # samples of a step, at most
-# Absolute tolerances at TOLERANCE: joints, their velocities, pressures [Pa], energies [J].
-ABSOLUTE = (1e-7, 1e-6, 2e2, 1e-2)
+# Absolute tolerances at TOLERANCE: joints, their velocities, pressures [Pa], energies [J], those of the tip likewise.
+ABSOLUTE = (1e-7, 1e-6, 2e2, 1e-2, 1e-7, 1e-6, 2e2)
 
 
 class SolverError(LeanboomError):
@@ -56,7 +56,8 @@ class Integrator:
         self._eval_measure = bind(plant.measure, (self._y,), (self._moved,))
         absolute = np.empty(layout.size)
         pressures = slice(layout.a.start, layout.supply + 1)
-        for part, value in zip((layout.q, layout.v, pressures, layout.energy), ABSOLUTE, strict=True):
+        parts = layout.q, layout.v, pressures, layout.energy, layout.bent, layout.bending, layout.sense
+        for part, value in zip(parts, ABSOLUTE, strict=True):
             absolute[part] = value * tolerance / TOLERANCE
         # The solver takes its Jacobian by differences: an exact one misleads it at the model's kinks, as measured in
         # docs/simulation.md, and some releases of SciPy read a given one transposed.

@@ -11,6 +11,7 @@ the pressures. Energies are integrated along, so that their balance is as exact 
 | p_A, p_B: chamber pressures | Pa | n, n |
 | p_s: supply pressure | Pa | 1 |
 | energy given by the pump; left in valves, in friction and ends, in compressed oil | J | 4 |
+| where the machine has them: coordinates of the tip and their rates (see `tip`), the load pressure as sensed | | |
 
 Inputs are the open shares of all valve edges (n x 4) and 1 for a load-sensing, 0 for a constant-pressure pump.
 """
@@ -32,7 +33,9 @@ from leanboom.model.cost_rates import supply_of
 from leanboom.model.crane import Crane
 from leanboom.model.machine import Cylinder, Machine
 from leanboom.model.task import Task
+from leanboom.simulation import tip as tips
 from leanboom.simulation import valve_sections
+from leanboom.simulation.tip import Tip
 
 END_TRAVEL = 5e-4  # [m], how far a cylinder's end gives under the cylinder's force at constant pressure
 ENERGIES = ("pump", "valves", "friction", "oil")
@@ -41,9 +44,11 @@ Value = Any
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Index ranges of the state vector of n cylinders."""
+    """Index ranges of the state vector of n cylinders, and of what is switched on besides."""
 
     n: int
+    tip: int = 0  # coordinates of the tip
+    sensed: int = 0  # 1 where the load pressure is sensed late
 
     @property
     def q(self) -> slice:
@@ -76,9 +81,24 @@ class Layout:
         return slice(4 * self.n + 1, 4 * self.n + 1 + len(ENERGIES))
 
     @property
+    def bent(self) -> slice:
+        """Coordinates of the tip."""
+        return slice(self.energy.stop, self.energy.stop + self.tip)
+
+    @property
+    def bending(self) -> slice:
+        """Their rates."""
+        return slice(self.bent.stop, self.bent.stop + self.tip)
+
+    @property
+    def sense(self) -> slice:
+        """The load pressure as a load-sensing pump knows it."""
+        return slice(self.bending.stop, self.bending.stop + self.sensed)
+
+    @property
     def size(self) -> int:
         """Number of states."""
-        return 4 * self.n + 1 + len(ENERGIES)
+        return self.sense.stop
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +111,7 @@ class Plant:
     measure: Any  # y -> piston positions [m], piston velocities [m/s]
     observe: Any  # y, u -> the quantities of OBSERVED
     energy: Any  # y -> kinetic, potential [J]
+    tip: Tip | None  # what is at the tool, if it bends or swings
     statics: Any  # joints -> force of gravity on the cylinders [N], and the mass each feels with the others free [kg]
 
 
@@ -124,7 +145,8 @@ class Mechanism:
     position: tuple[Value, ...]  # of the pistons, beyond retracted [m]
     velocity: tuple[Value, ...]  # of the pistons [m/s]
     friction: tuple[Value, ...]  # of the cylinders [N]
-    accelerate: Callable[[list], list]  # piston forces [N] -> joint accelerations
+    accelerate: Callable[[list], list]  # piston forces [N] -> accelerations of joints and tip
+    lost: Value = 0.0  # power left in the tip's dampers [W]
 
 
 def retracted(cylinder: Cylinder, lower: float, upper: float) -> tuple[float, float]:
@@ -149,37 +171,45 @@ def of(crane: Crane) -> Plant:
     Args:
         crane: The crane.
     """
+    tip = tips.of(crane)
 
     def body(q: list, v: list) -> Mechanism:
-        return _crane_motion(crane, q, v)
+        return _crane_motion(crane, tip, q, v)
 
-    return assemble(crane, body)
+    return assemble(crane, body, tip)
 
 
-def assemble(crane: Crane, body: Callable[[list, list], Mechanism]) -> Plant:
+def assemble(crane: Crane, body: Callable[[list, list], Mechanism], tip: Tip | None = None) -> Plant:
     """A plant of a crane's cylinders, valves and pump on bodies that move as given.
 
     Args:
         crane: The crane.
-        body: Joints and joint velocities, as lists of symbols, to their `Mechanism`.
+        body: Joints and their velocities, as lists of symbols that end with the tip's, to their `Mechanism`.
+        tip: What is at the tool, if it bends or swings.
     """
     import casadi as ca
 
     ca.GlobalOptions.setNumpyMode(1)
     machine = crane.machine
     n = len(machine.cylinders)
-    layout = Layout(n)
+    layout = Layout(n, tip.count if tip else 0, int(machine.circuit.sensing_time > 0.0))
     y, u = ca.SX.sym("y", layout.size), ca.SX.sym("u", 4 * n + 1)
     q, v, a, b = (ca.vertsplit(y[part]) for part in (layout.q, layout.v, layout.a, layout.b))
-    moving = body(q, v)
-    hydraulic = _hydraulics(machine, moving, a, b, y[layout.supply], ca.vertsplit(u))
+    bent, bending = (ca.vertsplit(y[part]) if layout.tip else [] for part in (layout.bent, layout.bending))
+    moving = body([*q, *bent], [*v, *bending])
+    known = y[layout.sense] if layout.sensed else None
+    hydraulic = _hydraulics(machine, moving, a, b, y[layout.supply], known, ca.vertsplit(u))
     forces = [f - r + e for f, r, e in zip(hydraulic.force, moving.friction, hydraulic.end, strict=True)]
-    rates = ca.vertcat(*v, *moving.accelerate(forces), *hydraulic.rates)
+    faster = moving.accelerate(forces)
+    rates = ca.vertcat(*v, *faster[:n], *hydraulic.rates, *bending, *faster[n:], *hydraulic.sensing)
     observed = [
         ca.vertcat(*hydraulic.force), ca.vertcat(*moving.friction), ca.vertcat(*hydraulic.end),
         hydraulic.pump_flow, hydraulic.wanted, ca.vertcat(*hydraulic.sense), ca.vertcat(*hydraulic.starved),
     ]  # fmt: skip
-    kinetic, potential = _energy(crane, q, v)
+    kinetic, potential = _energy(tip.crane if tip else crane, q, v)
+    if tip:
+        further = tip.energy([*q, *bent], [*v, *bending])
+        kinetic, potential = kinetic + further[0], potential + further[1]
     return Plant(
         crane=crane,
         layout=layout,
@@ -187,13 +217,17 @@ def assemble(crane: Crane, body: Callable[[list, list], Mechanism]) -> Plant:
         measure=ca.Function("measure", [y], [ca.densify(ca.vertcat(*moving.position, *moving.velocity))]),
         observe=ca.Function("observe", [y, u], observed, ["y", "u"], list(OBSERVED)),
         energy=ca.Function("energy", [y], [kinetic, potential]),
+        tip=tip,
         statics=ca.Function("statics", [y[layout.q]], [ca.densify(ca.vertcat(*x)) for x in _statics(crane, q)]),
     )
 
 
-def _crane_motion(crane: Crane, q: list, v: list) -> Mechanism:
-    """Bodies and linkages of a crane."""
-    machine, boom = crane.machine, q[-3:]
+def _crane_motion(crane: Crane, tip: Tip | None, q: list, v: list) -> Mechanism:
+    """Bodies and linkages of a crane; positions and velocities end with those of its tip."""
+    machine = crane.machine
+    whole, whole_rate, rigid = list(q), list(v), tip.crane if tip else crane
+    q, v = q[: len(machine.cylinders)], v[: len(machine.cylinders)]
+    boom = q[-3:]
     rate = list(v) if machine.geometry.slewing else [0.0, *v]
     position, velocity, friction, arms = [], [], [], []
     for cylinder, joint, sharp, q_i, v_i in zip(
@@ -214,16 +248,19 @@ def _crane_motion(crane: Crane, q: list, v: list) -> Mechanism:
 
     def accelerate(forces: list) -> list:
         torque = [arm * force for arm, force in zip(arms, forces, strict=True)]
-        inertia, gravity = cranes.inertia_and_gravity(crane, *boom)
-        swing = cranes.velocity_torques(crane, tuple(boom), tuple(rate))
+        inertia, gravity = cranes.inertia_and_gravity(rigid, *boom)
+        swing = cranes.velocity_torques(rigid, tuple(boom), tuple(rate))
         right = [t - g - c for t, g, c in zip(torque[-3:], gravity, swing, strict=True)]
-        solution = _solve(inertia, right)
-        if not machine.geometry.slewing:
-            return solution
-        turning, change = cranes.slewing(crane, tuple(boom), tuple(rate[1:]))
-        return [(torque[0] - change * rate[0]) / turning, *solution]
+        base = []  # inertia about the slewing axis, and torque there
+        if machine.geometry.slewing:
+            turning, change = cranes.slewing(rigid, tuple(boom), tuple(rate[1:]))
+            base = [(turning, torque[0] - change * rate[0])]
+        if tip:
+            return tip.accelerations(whole, whole_rate, [m for m, _ in base], inertia, [*(t for _, t in base), *right])
+        return [*(t / m for m, t in base), *_solve(inertia, right)]
 
-    return Mechanism(tuple(position), tuple(velocity), tuple(friction), accelerate)
+    lost = tip.lost(whole_rate[len(v) :]) if tip else 0.0
+    return Mechanism(tuple(position), tuple(velocity), tuple(friction), accelerate, lost)
 
 
 def _statics(crane: Crane, q: list) -> tuple[list, list]:
@@ -263,14 +300,18 @@ class _Hydraulics:
     pump_flow: Value
     wanted: Value  # supply pressure the pump is set to [Pa]
     sense: list
+    sensing: list  # rate of the sensed load pressure, where it lags
     starved: list  # by how much a compensator's drop is short of what is open to the supply [Pa]
 
 
-def _hydraulics(machine: Machine, moving: Mechanism, a: list, b: list, supply: Value, u: list) -> _Hydraulics:
+def _hydraulics(
+    machine: Machine, moving: Mechanism, a: list, b: list, supply: Value, known: Value | None, u: list
+) -> _Hydraulics:
     circuit, pump = machine.circuit, machine.pump
     bulk = circuit.bulk_modulus
     force, end, rate_a, rate_b, sense, starved = [], [], [], [], [], []
-    taken = valve_loss = friction_loss = oil = 0.0
+    taken = valve_loss = oil = 0.0
+    friction_loss = moving.lost
     for i, (cylinder, joint) in enumerate(zip(machine.cylinders, machine.joints, strict=True)):
         area_a, area_b = cylinder.areas
         x, v = moving.position[i], moving.velocity[i]
@@ -302,6 +343,8 @@ def _hydraulics(machine: Machine, moving: Mechanism, a: list, b: list, supply: V
     highest = sense[0]
     for pressure in sense[1:]:
         highest = np.maximum(highest, pressure)
+    sensing = [] if known is None else [(highest - known) / circuit.sensing_time]
+    highest = highest if known is None else known
     sensed = np.minimum(np.maximum(highest, 0.0) + pump.ls_margin, pump.max_pressure)
     wanted = u[-1] * sensed + (1.0 - u[-1]) * supply_of(pump, Supply.CONSTANT)[0]
     line = bulk / circuit.line_volume
@@ -312,7 +355,7 @@ def _hydraulics(machine: Machine, moving: Mechanism, a: list, b: list, supply: V
     valve_loss = valve_loss + supply * (given - filling)
     oil = oil + supply * change / line
     energies = [supply * given, valve_loss, friction_loss, oil]
-    return _Hydraulics(force, end, [*rate_a, *rate_b, change, *energies], given, wanted, sense, starved)
+    return _Hydraulics(force, end, [*rate_a, *rate_b, change, *energies], given, wanted, sense, sensing, starved)
 
 
 def _energy(crane: Crane, q: list, v: list) -> tuple[Value, Value]:

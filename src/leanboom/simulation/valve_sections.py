@@ -16,6 +16,7 @@ A cylinder's chambers also have anti-cavitation valves from the return line.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -103,7 +104,8 @@ class Spools:
     """The moving part of the valves: second-order spools behind a delay, stepped by samples.
 
     Spools move without regard to pressures, so their travel is known before the oil's motion is integrated: exactly
-    at the samples, for commands held in between.
+    at the samples, for commands held in between. A low supply may delay a command further, never past the next one;
+    a spool with hysteresis follows with play.
     """
 
     def __init__(self, machine: Machine, step: float):
@@ -111,17 +113,29 @@ class Spools:
         self.separate = machine.valve.separate
         self.count = len(machine.cylinders) * (2 if self.separate else 1)
         self.delay = max(1, round(circuit.delay / step))  # samples; a controller's answer takes one
-        self._dead_zone = circuit.dead_zone
+        self._dead_zone, self._play = circuit.dead_zone, 0.5 * circuit.hysteresis
+        self._slack, self._highest = circuit.delay_slack / step, machine.pump.max_pressure
+        self._now = 0
+        self._coming: deque[tuple[int, np.ndarray]] = deque([(0, np.zeros(self.count))])  # commands, when they act
+        self._held = np.zeros(self.count)
         self._advance, self._drive = second_order(circuit.spool_bandwidth, step)
         self._state = np.zeros((2, self.count))  # travel, and its rate
 
-    def move(self, command: np.ndarray) -> np.ndarray:
+    def move(self, command: np.ndarray, supply: float) -> np.ndarray:
         """Open shares of all edges a sample later, (cylinders x 4,), under commands from -1 to 1 held until then.
 
         Args:
             command: One a cylinder, or a pair for its ports A and B where they are separate.
+            supply: Supply pressure as the command is given [Pa].
         """
-        self._state = self._advance @ self._state + np.outer(self._drive, command)
+        slack = round(self._slack * min(max(1.0 - supply / self._highest, 0.0), 1.0))
+        self._coming.append((max(self._now + slack, self._coming[-1][0]), command.copy()))
+        while len(self._coming) > 1 and self._coming[1][0] <= self._now:
+            self._coming.popleft()
+        self._now += 1
+        acting = self._coming[0][1]
+        self._held = np.clip(self._held, acting - self._play, acting + self._play)
+        self._state = self._advance @ self._state + np.outer(self._drive, self._held)
         travel = self._state[0]
         into, out = opening(travel, self._dead_zone), opening(-travel, self._dead_zone)
         if self.separate:
