@@ -17,7 +17,7 @@ from leanboom.methods import pseudo_inverse
 from leanboom.methods.registry import METHODS
 from leanboom.report import papers_page
 from leanboom.study import processes
-from leanboom.study.papers import experiments, printed_values, reproduction, weights
+from leanboom.study.papers import experiments, printed_values, reproduction, variations, weights
 from leanboom.study.papers.experiments import COARSE, EXPERIMENTS, Job
 from leanboom.study.papers.weights import SIGNED
 
@@ -30,6 +30,8 @@ def record(job):
     energy *= sum(body.mass for body in job.task.machine.bodies)
     numbers = {"energy_ls_j": energy, "energy_cp_j": 2.0 * energy, "flow_m3": 1e-6 * energy, "pressure_pa": 1e7}
     numbers |= {"driven_ls_j": 1.1 * energy, "driven_cp_j": 2.2 * energy, "accuracy_ls_m": 0.1, "accuracy_cp_m": 0.05}
+    names = (*variations.SWITCHES, variations.ALL) if job.switched else ()
+    numbers["switched_m"] = {f"{name}, {pump}": 0.15 for name in names for pump in ("ls", "cp")}
     status = "acceleration of tilt is 1.0 m/s^2" if job.method.startswith("sns") else "solved"
     return {"status": status, **numbers, "solve_s": 1.0, "cpu_s": 1.0, **EMPTY}
 
@@ -84,8 +86,12 @@ def test_printed_path_errors_are_those_of_table_4():
 
 def test_path_errors_stand_beside_table_4(solved, tmp_path):
     result = reproduction.reproduce(["tracking"], tmp_path)
-    assert len(result.lines) == 2 * len(printed_values.TABLE4)
     by_row = {line.row: line for line in result.lines}
+    assert len(by_row) == len(result.lines) == 4 * len(printed_values.TABLE4) + 6 * (len(variations.SWITCHES) + 2)
+    assert by_row["half-cycle, LS: DP (CP), all switches [m]"].ours == 0.15
+    # Of the printed 0.143 to 0.346 m of this column 0.1 m is half of two or more, 0.15 m of all but those above 0.3 m.
+    assert by_row["within a factor of 2, no switch: half-cycle, LS"].ours == 1.0
+    assert by_row["within a factor of 2, spool hysteresis: half-cycle, LS"].ours == 6.0
     line = by_row["half-cycle, LS: DP (CP) [m]"]
     assert (line.printed, line.ours) == (0.346, 0.1) and line.why
     assert by_row["half-cycle, CP: DP (LS) [m]"].ours == 0.05

@@ -129,7 +129,20 @@ def _section(name: str, result: Reproduction) -> dict[str, Any]:
     if name in PATHS:
         energies = _energy_table(result.records[name])
         return section | {"energies": energies, "table": _table([line for line in lines if "[kJ]" not in line.row])}
+    if name == "tracking":
+        counts = [line for line in lines if line.row.startswith("within")]
+        return section | {"table": _table([line for line in lines if line not in counts]), "switches": _columns(counts)}
     return section | {"table": _table(lines)}
+
+
+def _columns(counts: list[Line]) -> Table:
+    """Entries of Table 4 within a factor of 2, a row a switch, a column a path and pump."""
+    rows: dict[str, list[float]] = {}
+    for line in counts:
+        rows.setdefault(line.row.split(": ")[0].split(", ")[1], []).append(line.ours or 0.0)
+    heads = [f"{path}, {pump.upper()}" for path in PATHS for pump in PUMPS]
+    cells = [[name, *(f"{value:.0f}" for value in values), f"{sum(values):.0f}"] for name, values in rows.items()]
+    return ["within a factor of 2", *heads, "all"], cells, False
 
 
 def pictures(result: Reproduction) -> dict[str, bytes]:

@@ -29,7 +29,7 @@ from leanboom.model.task import Task
 from leanboom.problem import starts
 from leanboom.progress import Progress, quiet
 from leanboom.study import comparison, processes
-from leanboom.study.papers import weights
+from leanboom.study.papers import variations, weights
 from leanboom.study.papers.experiments import COARSE, EXPERIMENTS, Job, Line, Record, Records
 from leanboom.study.papers.weights import SIGNED
 
@@ -196,6 +196,7 @@ def solve(job: Job) -> dict[str, Any]:
         "flow_m3": float(np.trapezoid(judged.pump_flow, judged.time)),
         "pressure_pa": float(judged.pressure.max()),
         **_driven(judged.task, found, job.driven),
+        "switched_m": _switched(judged.task, found, job.switched),
         "solve_s": float(found.solve_s),
         "cpu_s": time.process_time() - began,
         "time_s": np.round(judged.time[at], 6).tolist(),
@@ -225,10 +226,30 @@ def _driven(task: Task, found: Motion, wanted: bool) -> dict[str, float | None]:
     return numbers
 
 
+def _switched(task: Task, found: Motion, wanted: bool) -> dict[str, float]:
+    """Path accuracies in closed loop with every switch and all of them, by switch and pump; of runs that end."""
+    from leanboom.simulation import closed_loop
+
+    accuracies = {}
+    for name in (*variations.SWITCHES, variations.ALL) if wanted else ():
+        for pump in ("ls", "cp"):
+            run = closed_loop.simulate(variations.switched(task, name), found, pump)
+            if run.complete:
+                accuracies[f"{name}, {pump}"] = run.path_accuracy
+    return accuracies
+
+
 def _nothing(reason: str) -> dict[str, Any]:
     """The record of a solution that failed."""
     numbers = ("energy_ls_j", "energy_cp_j", "flow_m3", "pressure_pa", *CLOSED_LOOP, "solve_s", "cpu_s")
-    return {"status": reason, **dict.fromkeys(numbers), "time_s": [], "stroke_m": [], "supply_ls_pa": []}
+    return {
+        "status": reason,
+        **dict.fromkeys(numbers),
+        "switched_m": {},
+        "time_s": [],
+        "stroke_m": [],
+        "supply_ls_pa": [],
+    }
 
 
 class _Kept(BaseModel):
@@ -245,6 +266,7 @@ class _Kept(BaseModel):
     driven_cp_j: FiniteFloat | None
     accuracy_ls_m: FiniteFloat | None
     accuracy_cp_m: FiniteFloat | None
+    switched_m: dict[str, FiniteFloat]
     solve_s: FiniteFloat | None
     cpu_s: FiniteFloat | None
     time_s: list[FiniteFloat]
