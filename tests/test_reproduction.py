@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -104,10 +105,32 @@ def test_sweeps_are_not_driven():
 
 
 def test_solving_drives_the_motion_in_closed_loop():
-    job = EXPERIMENTS["vertical"].jobs()["smallest, P-inv. (j.)"]
+    job = EXPERIMENTS["vertical"].jobs()["middle, P-inv. (j.)"]
     found = reproduction.solve(job)
+    assert found["switched_m"] == {}
     assert 0.0 < found["accuracy_ls_m"] < 0.35 and 0.0 < found["accuracy_cp_m"] < 0.35
     assert 0.5 < found["driven_cp_j"] / found["energy_cp_j"] < 1.2
+
+
+def test_motions_of_table_4_are_driven_with_every_switch_and_with_all(monkeypatch):
+    from leanboom.simulation import closed_loop
+
+    driven = []
+
+    def simulate(task, motion, pump):
+        driven.append((task.machine.circuit, pump))
+        return SimpleNamespace(complete=pump == "ls", path_accuracy=0.1)
+
+    monkeypatch.setattr(closed_loop, "simulate", simulate)
+    jobs = EXPERIMENTS["tracking"].jobs()
+    assert all(job.switched for job in jobs.values())
+    task = next(iter(jobs.values())).task
+    found = reproduction._switched(task, None, True)
+    assert set(found) == {f"{name}, ls" for name in (*variations.SWITCHES, variations.ALL)}  # runs that end
+    one, every = variations.SWITCHES["spool hysteresis"], driven[-1][0]
+    assert (replace(task.machine.circuit, **one), "cp") in driven
+    assert all(getattr(every, key) == value for each in variations.SWITCHES.values() for key, value in each.items())
+    assert not EXPERIMENTS["table2"].jobs()["DP (CP)"].switched
 
 
 def test_every_job_is_one_that_can_be_solved():
