@@ -231,6 +231,10 @@ def test_commands_show_and_plan_a_cycle(tmp_path):
     made = leanboom("plan", file, "--pump", "cp", "--effort", "quick", "--grid", "41x21", "--step", "0.2")
     assert made.exit_code == 0
     assert "The crane waits 2 s, and no oil flows" in made.stdout
+    refused = leanboom("simulate", file)
+    assert (
+        refused.exit_code == 2 and "task cycle has 2 legs; the simulation takes a task with one path" in refused.stderr
+    )
 
 
 @pytest.mark.parametrize(
