@@ -65,7 +65,7 @@ def test_a_task_says_how_long_its_path_takes(tmp_path, text, duration, timing, m
 
 STROKE = 0.7  # [m]
 VERTICAL = load_task("forwarder-vertical", start=STROKE)
-FEW = 40  # intervals
+FEW = 30  # intervals
 
 
 def at_stroke(task, stroke, points=201):

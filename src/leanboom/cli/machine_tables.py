@@ -277,7 +277,12 @@ def checked(console: Console, found: facts.Checked, known: bool) -> None:
 
 def _path_report(console: Console, task: Task, path: facts.PathFacts) -> None:
     low, high = path.start
-    say(console, f"Path              {path.length:.2f} m in {task.duration:g} s, at most {path.fastest:.3g} m/s")
+    timing = {
+        "fixed": f"in {task.duration:g} s, at most {path.fastest:.3g} m/s",
+        "free": f"in {task.duration:g} s, its speed to be planned",
+        "shortest": "in the shortest time, to be planned",
+    }
+    say(console, f"Path              {path.length:.2f} m {timing[task.timing]}")
     loads = [f"{leg.payload:g} kg" for leg in task.legs] or [f"{task.payload:g} kg"]
     say(console, f"Payload           {', '.join(loads)}")
     say(

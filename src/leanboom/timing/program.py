@@ -6,8 +6,9 @@ Time is cut into N intervals of length h, on which both accelerations are consta
 
 and every interval has its own copy of the states at its two ends, so that limits hold at both, from inside, and only
 linear equations tie intervals together. All limits of the judge are rows of an interval: velocities, positions and pump
-flow at its beginning, accelerations at both ends. The cost is the time, or the smoothed energy of `smoothed_nlp` by the
-trapezoidal rule. At corners of a path the tool rests, whatever the rate; each falls on the end of an interval.
+flow at its beginning, accelerations at both ends and in the middle. The cost is the time, or the smoothed energy of
+`smoothed_nlp` by the trapezoidal rule. At corners of a path the tool rests, whatever the rate; each falls on the end of
+an interval.
 
 | symbol | name | unit |
 | --- | --- | --- |
@@ -124,11 +125,18 @@ class Program:
             z[W] + h * u - z[END + W],
         ]
         rows, power = list(dynamics), 0.0
-        for end, piece in ((0, 0), (END, PIECE)):
-            plane = self._plane(p[piece : piece + PIECE], p[2 * PIECE], z[end + TAU], z[end + OMEGA], alpha)
-            pose = cranes.pose(crane, plane, z[end + X])
-            moving = cranes.move(pose, z[end + W], u)
-            if end == 0:
+        half = 0.5 * h
+        middle = (
+            z[TAU] + half * (z[OMEGA] + 0.5 * half * alpha), z[OMEGA] + half * alpha,
+            z[X] + half * (z[W] + 0.5 * half * u), z[W] + half * u,
+        )  # fmt: skip
+        states = [z[state] for state in (TAU, OMEGA, X, W)], middle, [z[END + state] for state in (TAU, OMEGA, X, W)]
+        for place, (piece, state) in enumerate(zip((0, 0, PIECE), states, strict=True)):
+            tau, omega, x, w = state
+            plane = self._plane(p[piece : piece + PIECE], p[2 * PIECE], tau, omega, alpha)
+            pose = cranes.pose(crane, plane, x)
+            moving = cranes.move(pose, w, u)
+            if place == 0:
                 rows += [v / c.velocity_limit for v, c in zip(moving.velocity, cylinders, strict=True)]
                 rows += [
                     (q - 0.5 * (joint.lower + joint.upper)) / (0.5 * (joint.upper - joint.lower))
@@ -140,7 +148,7 @@ class Program:
                     for signs in product(*areas):
                         rows.append(sum(a * v for a, v in zip(signs, moving.velocity, strict=True)) / self.flow)
             rows += [a / c.acceleration_limit for a, c in zip(moving.acceleration, cylinders, strict=True)]
-            if self.cost != "time":
+            if self.cost != "time" and place != 1:
                 smooth = p[2 * PIECE + 1], p[2 * PIECE + 2]
                 power = power + 0.5 * smoothed_nlp.smooth_power(crane, pose, moving, self.cost, *smooth)
         # Nothing stays undetermined: strokes where a slewing base alone is at its limits, speed where it costs nothing.
@@ -217,8 +225,8 @@ class Program:
         """Bounds of the rows of all intervals, (intervals, rows) each."""
         joints = len(self.crane.machine.joints)
         flows = 2**joints if np.isfinite(self.flow) else 0
-        low = [0.0] * 4 + [-SHARE] * joints + [-1.0] * 3 + [-np.inf] * flows + [-SHARE] * 2 * joints
-        high = [0.0] * 4 + [SHARE] * joints + [1.0] * 3 + [SHARE] * flows + [SHARE] * 2 * joints
+        low = [0.0] * 4 + [-SHARE] * joints + [-1.0] * 3 + [-np.inf] * flows + [-SHARE] * 3 * joints
+        high = [0.0] * 4 + [SHARE] * joints + [1.0] * 3 + [SHARE] * flows + [SHARE] * 3 * joints
         return np.tile(low, (intervals, 1)), np.tile(high, (intervals, 1))
 
     def _linear(self, counts: tuple[int, ...], even: bool, total: bool) -> tuple:

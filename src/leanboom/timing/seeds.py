@@ -17,8 +17,8 @@ STROKES = 81  # at each point
 
 def quickest(
     task: Task, crane: cranes.Crane, shape: Lines | Spline, tau: np.ndarray, ends: Ends, flow: float
-) -> np.ndarray:
-    """Strokes by which a path is followed quickest where velocities and pump flow alone are limited [m], (points,).
+) -> tuple[np.ndarray, np.ndarray]:
+    """The quickest way along a path where velocities and pump flow alone are limited.
 
     A dynamic program over the strokes at each point: the least time between two points is the largest share of a
     limit that any cylinder would use at the rate 1.
@@ -30,9 +30,13 @@ def quickest(
         tau: Own times of the points [s], (points,).
         ends: Where the redundant cylinder starts and ends.
         flow: Largest pump flow [m^3/s]; infinite: none.
+
+    Returns:
+        Strokes [m], and the least times since the beginning [s], (points,) each.
     """
     grid, allowed = strokes(task, crane, shape, tau, ends)
     value = np.where(allowed[-1], 0.0, np.inf)
+    rest = [value]
     best = np.zeros(grid.shape, dtype=np.intp)
     fast = np.array([c.velocity_limit for c in crane.machine.cylinders])
     steps = np.diff(tau)
@@ -49,12 +53,14 @@ def quickest(
         through = steps[k] * np.maximum(pace, asked / flow) + value[None, :]
         best[k] = through.argmin(axis=1)
         value = np.where(allowed[k], through[np.arange(through.shape[0]), best[k]], np.inf)
+        rest.insert(0, value)
     at = int(value.argmin())
     found = [at]
     for k in range(steps.size):
         at = int(best[k, at])
         found.append(at)
-    return grid[np.arange(grid.shape[0]), found]
+    points = np.arange(grid.shape[0])
+    return grid[points, found], value.min() - np.array(rest)[points, found]
 
 
 def strokes(

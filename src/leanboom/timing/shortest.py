@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from leanboom.components.paths import Lines, Spline
 from leanboom.errors import InfeasibleError, LeanboomError
 from leanboom.evaluation.evaluate import Evaluation
 from leanboom.methods import pseudo_inverse
@@ -22,14 +23,14 @@ from leanboom.progress import Progress, quiet
 from leanboom.timing import along, courses, seeds
 from leanboom.timing.courses import Course
 from leanboom.timing.program import Ends, Program
+from leanboom.timing.time_optimal import LEAST_TIME
 
 INTERVALS = 200  # of the motion
 COARSER = 3  # times as few are enough to tell which motion to begin from
-POINTS = 161  # of the path, in seeds
-STEP = 0.1  # [s], at which feasible strokes of the ends are looked up
-SLOWLY = 4.0  # times the path's own duration in which the pseudo-inverse follows it
+POINTS, LEAST_POINTS = 160, 40  # of the path, in seeds; between two corners
+SLOWLY = 6.0  # times the quickest way in which the pseudo-inverse follows the path
 DAMPING = Level(1.0, 1.0, 1e-3)
-MOST_SLOWED = 1.05  # times that a motion may be slowed to keep its limits between the ends of intervals
+NEARLY = 1.005  # times the coarse duration that is no reason to refine another motion
 
 
 def plan(task: Task, cost: str, tell: Progress = quiet, intervals: int = INTERVALS) -> Evaluation:
@@ -46,30 +47,39 @@ def plan(task: Task, cost: str, tell: Progress = quiet, intervals: int = INTERVA
         InputError: If the path has no timing that can be planned.
     """
     task = replace(task, timing="fixed", limits=Limits(pump_flow=True))
-    shape, crane, flow = along.shape_of(task), cranes.build(task), task.machine.pump.max_flow
-    ends = ends_of(task)
+    crane, flow, ends = cranes.build(task), task.machine.pump.max_flow, ends_of(task)
+    tell("shortest time, without accelerations", 0.0)
+    points = _points(along.shape_of(task))
+    stroke, reached = seeds.quickest(task, crane, along.shape_of(task), points, ends, flow)
+    shape = _brisk(along.shape_of(task), points, reached)
+    task = replace(task, path=shape)
     program = Program(task, crane, shape, "time", ends, flow)
-    points, coarse = _points(shape), []
-    found = _seeds(task, crane, ends)
-    for number, (name, stroke) in enumerate(found.items()):
-        tell(f"shortest time, from {name}", 0.6 * number / len(found))
-        begun = courses.of_strokes(task, crane, shape, points, stroke, intervals // COARSER)
+    coarse = []
+    found = _seeds(task, crane, shape, ends, stroke)
+    for number, (name, strokes) in enumerate(found.items()):
+        tell(f"shortest time, from {name}", 0.1 + 0.5 * number / len(found))
+        begun = courses.of_strokes(task, crane, shape, _points(shape), strokes, intervals // COARSER)
         course = _solved(program, begun)
         if course is not None:
             coarse.append(course)
     coarse.sort(key=lambda each: each.time[-1])
+    best: Evaluation | None = None
     for course in coarse:
         tell("shortest time, on shorter intervals", 0.7)
         fine = _solved(program, courses.evened(course, intervals))
         judged = None if fine is None else _within_limits(courses.judged(task, shape, fine, cost))
-        if judged is not None:
-            return judged
-    raise InfeasibleError("no motion along the path was found that keeps all limits, however slow")
+        if judged is not None and (best is None or judged.task.duration < best.task.duration):
+            best = judged
+        if best is not None and best.task.duration < NEARLY * course.time[-1]:
+            break
+    if best is None:
+        raise InfeasibleError("no motion along the path was found that keeps all limits, however slow")
+    return best
 
 
 def ends_of(task: Task) -> Ends:
     """Where the redundant cylinder may start and end."""
-    problem = stages.discretise(task, STEP)
+    problem = stages.discretise(task, 0.5 * task.duration)
     start = starts.start_position(problem, task.start)
     end = starts.end_position(problem, start)
     (first, last) = problem.intervals[0], problem.intervals[-1]
@@ -80,18 +90,35 @@ def ends_of(task: Task) -> Ends:
     )
 
 
-def _points(shape) -> np.ndarray:
-    """Own times of a seed's points [s], corners among them."""
-    return np.unique(np.concatenate([np.linspace(0.0, shape.duration, POINTS), shape.breaks]))
+def _points(shape: Lines | Spline) -> np.ndarray:
+    """Own times of a seed's points [s], corners among them and as many in each segment."""
+    edges = courses.corners(shape)
+    counts = (max(LEAST_POINTS, POINTS // (edges.size - 1)),) * (edges.size - 1)
+    return courses.ticks(edges, counts)
 
 
-def _seeds(task: Task, crane: cranes.Crane, ends: Ends) -> dict[str, np.ndarray]:
+def _brisk(shape: Lines | Spline, points: np.ndarray, reached: np.ndarray) -> Lines | Spline:
+    """A shape whose own timing is about as fast as can be: then rates are about 1 in every segment.
+
+    Args:
+        shape: The shape.
+        points: Own times [s], (points,).
+        reached: When they are reached the quickest way [s], (points,).
+    """
+    if isinstance(shape, Spline):
+        return shape.slower(max(reached[-1], LEAST_TIME) / shape.duration)
+    lasting = np.maximum(np.diff(np.interp(shape.breaks, points, reached)), LEAST_TIME)
+    return Lines(shape.points, tuple(lasting.tolist()))
+
+
+def _seeds(
+    task: Task, crane: cranes.Crane, shape: Lines | Spline, ends: Ends, quickest: np.ndarray
+) -> dict[str, np.ndarray]:
     """Strokes at the points of a path to begin from [m], (points,), by what they are."""
-    shape = along.shape_of(task)
     tau = _points(shape)
     grid, _ = seeds.strokes(task, crane, shape, tau, ends)
-    found = {"the quickest strokes": seeds.quickest(task, crane, shape, tau, ends, task.machine.pump.max_flow)}
-    slow = replace(task, path=task.path.slower(SLOWLY))
+    found = {"the quickest strokes": quickest}
+    slow = replace(task, path=shape.slower(SLOWLY))
     try:
         held = pseudo_inverse.resolve(slow, float(np.mean(ends.start)))
         found["the pseudo-inverse"] = along.strokes(slow, held, SLOWLY * tau)
@@ -118,7 +145,5 @@ def _within_limits(found: Evaluation) -> Evaluation | None:
     use = found.limit_use
     shares = use.velocity / USABLE_SHARE, (use.acceleration / USABLE_SHARE) ** 0.5, use.flow / USABLE_SHARE
     factor = max(1.0, *shares)
-    if factor > MOST_SLOWED:
-        return None
     found = courses.slowed(found, factor) if factor > 1.0 else found
     return found if found.feasible else None
