@@ -231,6 +231,10 @@ def test_commands_take_the_limit(tmp_path):
     task = load_task("forwarder-vertical")
     (tmp_path / "weak.yaml").write_text(dump_machine(pumped(task, 1.0 / LITRES).machine))
     file.write_text(dump_task(task, "weak.yaml"))
+    limited = tmp_path / "limited.yaml"
+    limited.write_text(file.read_text() + "limits: {pump_flow: yes}\n")
+    told = leanboom("check", str(limited))
+    assert told.exit_code == 1 and "the path, at the best extension, asks for" in told.stdout + told.stderr
     for command in ("plan", "certify", "compare"):
         done = leanboom(command, str(file), "--pump-flow-limit")
         assert done.exit_code == 2

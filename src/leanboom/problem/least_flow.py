@@ -35,20 +35,23 @@ def least_flow(problem: Problem) -> np.ndarray:
     return flow.min(axis=(1, 2)) + base_flow(problem.crane.machine, problem.plane)
 
 
-def check(task: Task, step: float) -> None:
-    """Raise InputError where a task limits the pump's flow to less than its path asks for, whatever the extension does.
+def excess(task: Task, step: float) -> str:
+    """What a path asks of the pump beyond a limit of its flow, whatever the extension does; empty where it may do.
 
     Args:
         task: The task.
         step: Length of a stage [s].
     """
-    if not task.limits.pump_flow:
-        return
-    what = base_fault(task.machine, task.path)
-    if not what:
+    what = base_fault(task.machine, task.path) if task.limits.pump_flow else ""
+    if task.limits.pump_flow and not what:
         problem = stages.discretise(task, step)
         flow = least_flow(problem)
         if flow.max() > COARSE * task.flow_limit:
             what = fault(task, "the path, at the best extension,", problem.time, flow)
-    if what:
-        raise InputError(f"limits.pump_flow = yes; {what}")
+    return f"limits.pump_flow = yes; {what}" if what else ""
+
+
+def check(task: Task, step: float) -> None:
+    """Raise InputError where a task limits the pump's flow to less than its path asks for; arguments as in `excess`."""
+    if what := excess(task, step):
+        raise InputError(what)

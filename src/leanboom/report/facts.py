@@ -20,10 +20,11 @@ from leanboom.evaluation import limit_checks
 from leanboom.formulas import kinematics
 from leanboom.io import loading
 from leanboom.io.yaml_source import read, shortened, unusable
+from leanboom.methods.registry import STEP
 from leanboom.model import crane as cranes
 from leanboom.model.machine import Machine
 from leanboom.model.task import sample
-from leanboom.problem import feasible_strokes
+from leanboom.problem import feasible_strokes, least_flow
 
 if TYPE_CHECKING:
     from leanboom.evaluation.evaluate import Evaluation
@@ -178,7 +179,8 @@ def path(task: Task) -> PathFacts:
         task: The task.
 
     Raises:
-        InfeasibleError: If the tool cannot be everywhere on its path, or not that fast, whatever the extension does.
+        InfeasibleError: If the tool cannot be everywhere on its path, or not that fast, whatever the extension does;
+            or if that asks for more than a limited flow of the pump.
     """
     time = limit_checks.times(task.path, np.linspace(0.0, task.duration, 1001))
     points = sample(task, time)
@@ -196,6 +198,8 @@ def path(task: Task) -> PathFacts:
             f"{np.linalg.norm(points.velocity[worst]):.3g} m/s: whatever the extension does, one of them would have to "
             f"move at {haste[worst]:.3g} times its velocity limit; give the path more time there"
         )
+    if what := least_flow.excess(task, STEP):
+        raise InfeasibleError(what)
     nearest = np.abs(cranes.elbow_cosine(crane, plane, np.stack([low, high]) / crane.ratio)).max(axis=0)
     at = time[nearest > kinematics.BENT - _AT_THE_MARGIN]
     return PathFacts(
