@@ -11,7 +11,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import fields, make_dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -123,6 +123,10 @@ def test_keys_of_motions_stay_what_they_were_where_a_task_uses_nothing_new():
     assert key == "327c5f12806ddf3fcae2c93b702f6570"
     assert keys.motion_key(loading.load_task("forwarder-vertical", pump_flow_limit=True), "ls", "machine") != key
     assert keys.motion_key(replace(task, timing="free"), "ls", "machine") != key
+    more = make_dataclass("Task", [("hurry", float, 1.0)], bases=(Task,), frozen=True)
+    plain = {each.name: getattr(task, each.name) for each in fields(task)}
+    assert keys.motion_key(more(**plain), "ls", "machine") == key
+    assert keys.motion_key(more(**plain, hurry=2.0), "ls", "machine") != key
 
 
 def test_what_has_no_solution_is_kept_with_its_reason(made, tmp_path, threads):

@@ -19,7 +19,7 @@ from leanboom.model.task import Task
 UNUSED = ("name", "description", "circuit", "provenance")  # of a machine: words, and what simulation alone knows
 OTHER_PUMP = {"ls": "constant_pressure", "cp": "ls_margin"}  # what a motion for a pump does not depend on
 HUNG = ("payload_along", "payload_above")
-LATER = ("limits", "timing")  # keys of tasks that earlier builds did not know; what they leave out is the default
+ALWAYS = ("path", "payload", "start", "end", "smooth")  # of a task; of all else, what is as by default is left out
 METHOD = "warm-started dp 1"  # changes when motions of earlier builds should be planned again
 
 
@@ -70,7 +70,8 @@ def motion_key(task: Task, pump: str, machine: str) -> str:
         pump: "ls" or "cp".
         machine: The digest of its machine.
     """
-    usual = [each.name for each in fields(Task) if each.name in LATER and getattr(task, each.name) == each.default]
+    # So tasks may get new fields, and those that do not use them keep their keys.
+    usual = [e.name for e in fields(task) if e.name not in ALWAYS and getattr(task, e.name) == e.default]
     asked = plain(task, ("name", "machine", "source", *usual))
     return _digest([machine, asked, pump, METHOD, GRID, STEP])
 
