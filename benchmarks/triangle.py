@@ -43,7 +43,7 @@ EDGE = 0.7  # [m], the shortest edge that is tried
 DIAGONAL = 2.2, 5.6  # [m], 10 s at "roughly 0.5 m/s": at most at its peak, or on the mean
 SMOOTH = 5.0  # [Hz], as the paper filters
 SIMPLEX = 0.12  # [m], first edge of the simplex
-STEPS = -0.2, -0.1, 0.1, 0.2  # [m], of the profile
+STEPS = -0.1, 0.1  # [m], of the profile
 EARLY = 0.06, 0.13  # root mean square and largest difference of the first rows from which a sample is left
 
 
