@@ -109,23 +109,36 @@ def _explained(whole: Section, content: str) -> str:
             continue
         seen.add(section)
         indent = "  " * len(key)
-        for name, field in section.fields.items():
+        for name in section.fields:
             here = (*key, name)
-            meaning = meanings(section.made).get(name)
-            words = [meaning] if meaning else []
-            if isinstance(field.rule, Word | Variant):
-                lead = "Type" if isinstance(field.rule, Variant) else "One of"
-                words.append(f"{lead}: {', '.join(field.rule.choices)}.")
-            told = [f"{indent}# {' '.join(words)}"] if words else []
             if here in source.lines:
-                before[source.lines[here]] = told
+                before[source.lines[here]] = _told(section, name, indent)
             else:
-                example = field.rule.kind.example if isinstance(field.rule, Range) else "..."
-                after.setdefault(_last(source, key), []).extend([*told, f"{indent}# {name}: {example}"])
+                after.setdefault(_last(source, key), []).extend(_offered(section, name, indent))
     lines = [""]
     for number, row in enumerate(rows, 1):
         lines += [*before.get(number, ()), row, *after.get(number, ())]
     return "".join(f"{line}\n" for line in lines)
+
+
+def _told(section: Section, name: str, indent: str) -> list[str]:
+    """What a key means, as a comment; nothing where its name says it."""
+    meaning, rule = meanings(section.made).get(name), section.fields[name].rule
+    words = [meaning] if meaning else []
+    if isinstance(rule, Word | Variant):
+        words.append(f"{'Type' if isinstance(rule, Variant) else 'One of'}: {', '.join(rule.choices)}.")
+    return [f"{indent}# {' '.join(words)}"] if words else []
+
+
+def _offered(section: Section, name: str, indent: str) -> list[str]:
+    """A key that a file leaves out, as a comment, with what it means; the keys of a section below it."""
+    rule = section.fields[name].rule
+    told = _told(section, name, indent)
+    if isinstance(rule, Section):
+        below = [line for key in rule.fields for line in _offered(rule, key, indent + "  ")]
+        return [*told, f"{indent}# {name}:", *below]
+    example = rule.kind.example if isinstance(rule, Range) else "..."
+    return [*told, f"{indent}# {name}: {example}"]
 
 
 def _sections(section: Section, made: Any, key: Key) -> Iterator[tuple[Section, Key]]:
