@@ -24,7 +24,7 @@ from leanboom.study import comparison
 from leanboom.study.papers import reproduction
 
 TASKS = (
-    "forwarder-half-cycle, forwarder-horizontal, forwarder-vertical, loader-triangle-large, loader-triangle-medium, "
+    "forwarder-cycle, forwarder-half-cycle, forwarder-horizontal, forwarder-vertical, loader-cycle, loader-triangle-large, loader-triangle-medium, "
     "loader-triangle-small"
 )
 
