@@ -24,8 +24,8 @@ from leanboom.study import comparison
 from leanboom.study.papers import reproduction
 
 TASKS = (
-    "forwarder-cycle, forwarder-half-cycle, forwarder-horizontal, forwarder-vertical, loader-cycle, loader-triangle-large, loader-triangle-medium, "
-    "loader-triangle-small"
+    "forwarder-cycle, forwarder-half-cycle, forwarder-horizontal, forwarder-vertical, loader-cycle, "
+    "loader-triangle-large, loader-triangle-medium, loader-triangle-small"
 )
 
 
