@@ -283,6 +283,7 @@ def test_a_bound_found_in_time_counts_although_one_with_other_slopes_is_not():
         refinement.tightest(bounds_of((iter([None]), iter([1.0])), []), (0.0, 0.0), 100.0, 0.5)
 
 
+@pytest.mark.slow
 def test_bound_rises_with_refinement(larger_cells):
     task = replace(load_task("forwarder-vertical"), start="middle")
     proof = certify(task, "cp", step=0.5, seconds=120.0, gap=0.3)
@@ -435,6 +436,7 @@ def test_an_efficiency_map_is_refused():
         certify(task, "cp")
 
 
+@pytest.mark.slow
 def test_command_prints_the_plan_and_the_bound(larger_cells):
     command = ["certify", "forwarder-vertical", "--start", "middle", "--pump", "cp", "--step", "0.5", "--gap", "2"]
     done = CliRunner().invoke(app, [*command, "--json"])
@@ -448,6 +450,7 @@ def test_command_prints_the_plan_and_the_bound(larger_cells):
     assert "No motion below" in told.stdout
 
 
+@pytest.mark.slow
 def test_plan_certifies_when_asked(larger_cells):
     done = CliRunner().invoke(
         app,

@@ -116,6 +116,7 @@ def test_what_is_left_of_a_closed_cycle_ends_where_it_started():
     assert rest.motion.position[-1] == pytest.approx(plan.motion.position[0], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_policy_ends_where_it_was_told_to():
     problem = stages.discretise(VERTICAL, 0.1)
     start = starts.start_position(problem, "middle")

@@ -27,6 +27,7 @@ def recedings():
     return {pump: receding_horizon.plan_receding(TASK, pump=pump, **QUICK) for pump in ("ls", "cp")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pump", ["ls", "cp"])
 def test_limits_are_kept_and_energy_lies_between_whole_path_and_pseudo_inverse(recedings, pump):
     found = recedings[pump]

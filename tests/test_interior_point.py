@@ -329,6 +329,7 @@ def by_ipopt(polisher: modes.Polisher, start: motion.Motion, switches: modes.Mod
     return float(answer["f"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "cost", "fixed_end"),
     [

@@ -288,6 +288,7 @@ def enumerable(seed: int, cost: str) -> Small:
     return replace(small, stage=stage, coefficients=row, cylinder=cylinder, terminal=terminal)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cost", ["cp", "velocity", "extension", "recuperation"])
 @given(seed=SEED)
 @settings(max_examples=5)

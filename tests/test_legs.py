@@ -222,6 +222,7 @@ def test_an_ordinary_task_is_one_leg(tmp_path):
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_commands_show_and_plan_a_cycle(tmp_path):
     file = str(written(tmp_path, FILE, "cycle.yaml"))
     shown = leanboom("tasks", file)
@@ -344,6 +345,7 @@ def test_a_duration_is_chosen_at_the_price_of_time():
 # Timing
 
 
+@pytest.mark.slow
 def test_a_fastest_leg_comes_first_and_the_others_meet_it(plan, monkeypatch):
     """What is fastest between other extensions is slower: they are its own, and the rest of the cycle fits in."""
     asked = []

@@ -171,6 +171,7 @@ def slowly(spec, out, pipe):
     engine.build(made, out, workers=1, work=partial(hold, wait=0.05), progress=tell)
 
 
+@pytest.mark.slow
 def test_a_build_that_is_killed_loses_nothing_that_it_reported(made, tmp_path, rng, threads):
     """Whatever moment it is killed at, the next one goes on."""
     out, context = tmp_path / "out", resources.process_context([engine.__name__])

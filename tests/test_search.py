@@ -48,6 +48,7 @@ def energy(task: Task, pump: str, **options) -> float:
 # Feasible is feasible
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pump", planner.PUMPS)
 def test_whether_there_is_a_motion_does_not_depend_on_the_pump(pump):
     plan = planner.run(load_task(CASES / "tight-corner.yaml"), pump=pump, baseline=False)

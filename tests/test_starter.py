@@ -34,6 +34,7 @@ def test_a_new_file_is_right_as_it_is(tmp_path, kind):
     assert leanboom("check", str(path)).exit_code == 0
 
 
+@pytest.mark.slow
 def test_the_new_task_is_planned_on_the_new_machine(tmp_path):
     starter.write("machine", tmp_path / "crane.yaml")
     text = starter.text("task")

@@ -157,6 +157,7 @@ def fastest():
     return shortest.plan(VERTICAL, "ls", intervals=FEW)
 
 
+@pytest.mark.slow
 def test_the_shortest_time_is_never_above_that_of_a_settled_redundancy(fastest):
     """Of its start held, and of the pseudo-inverse's motion hurried evenly until a limit is used up."""
     assert fastest.feasible and fastest.limit_use.worst > 0.995 and fastest.task.timing == "fixed"
@@ -167,6 +168,7 @@ def test_the_shortest_time_is_never_above_that_of_a_settled_redundancy(fastest):
     assert fastest.task.duration < 0.9 * even
 
 
+@pytest.mark.slow
 def test_the_shortest_time_keeps_the_pumps_flow(fastest):
     """With a pump of 60 % of the flow that it asks for; that makes it slower."""
     flow = 0.6 * float(fastest.pump_flow.max())
@@ -199,6 +201,7 @@ def load_task_of(task):
 # The least energy
 
 
+@pytest.mark.slow
 def test_a_free_timing_never_costs_more(monkeypatch):
     """Whatever is proposed: also where it is dearer, or breaks limits."""
     monkeypatch.setattr(free, "MOST", FEW)
