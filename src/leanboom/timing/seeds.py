@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from leanboom.components.paths import Lines, Spline
-from leanboom.formulas import hydraulics
 from leanboom.model import crane as cranes
+from leanboom.model.pump_flow import pump_flow
 from leanboom.model.task import Task
 from leanboom.problem.feasible_strokes import feasible_strokes
 from leanboom.timing.along import along, plane_at
@@ -47,9 +47,7 @@ def quickest(
         slope = (grid[k + 1][None, :] - grid[k][:, None]) / steps[k]
         velocity = still[:, None, :] + (forth - still)[:, None, :] * slope[:, :, None]
         pace = (np.abs(velocity) / fast).max(axis=2)
-        asked = sum(
-            hydraulics.cylinder_flow(velocity[:, :, j], d.area_out, d.area_in) for j, d in enumerate(crane.drives)
-        )
+        asked = pump_flow(crane.drives, np.moveaxis(velocity, 2, 0))
         through = steps[k] * np.maximum(pace, asked / flow) + value[None, :]
         best[k] = through.argmin(axis=1)
         value = np.where(allowed[k], through[np.arange(through.shape[0]), best[k]], np.inf)

@@ -19,9 +19,7 @@ from leanboom.timing.along import INSIDE, Along
 LEAST_TIME = 0.02  # [s], no path is passed faster than in this: rates stay finite where nothing limits them
 
 
-def fastest(
-    tau: np.ndarray, begins: Along, ends: Along, crane: cranes.Crane, most: float, share: float = 1.0
-) -> np.ndarray | None:
+def fastest(tau: np.ndarray, begins: Along, ends: Along, crane: cranes.Crane, most: float) -> np.ndarray | None:
     """The fastest rates with which points of a path can be passed.
 
     Args:
@@ -29,7 +27,6 @@ def fastest(
         begins, ends: The cylinders at the beginning and the end of each interval, from inside, (points - 1,).
         crane: The crane, whose limits count.
         most: Largest rate.
-        share: Of the limits that may be used.
 
     Returns:
         Rates, (points,); None where no rate keeps the limits.
@@ -38,8 +35,8 @@ def fastest(
     from scipy.sparse import coo_array
 
     cylinders = crane.machine.cylinders
-    fast = share * np.array([c.velocity_limit for c in cylinders])
-    hard = share * np.array([c.acceleration_limit for c in cylinders])
+    fast = np.array([c.velocity_limit for c in cylinders])
+    hard = np.array([c.acceleration_limit for c in cylinders])
     count, steps = tau.size, np.diff(tau)
     bound = np.full(count, most**2)
     for here, points in ((begins, slice(0, -1)), (ends, slice(1, None))):
