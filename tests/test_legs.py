@@ -21,7 +21,7 @@ from leanboom.methods.dp_refined import Search
 from leanboom.methods.registry import EFFORTS
 from leanboom.model import motion
 from leanboom.model.task import Leg, Lines, Part
-from leanboom.planning import junctions, planner, summaries, time_sharing
+from leanboom.planning import cycles, junctions, planner, summaries, time_sharing
 from leanboom.problem import stages
 from leanboom.report import run_folder
 from leanboom.simulation.closed_loop import simulate
@@ -355,7 +355,7 @@ def test_a_fastest_leg_comes_first_and_the_others_meet_it(plan, monkeypatch):
         quicker = replace(task, path=task.path.slower(0.8), start=0.8, end=0.6)
         return planner.run(quicker, pump=cost, baseline=False, **QUICK).evaluation
 
-    monkeypatch.setattr(planner.shortest, "plan", fastest)
+    monkeypatch.setattr(cycles.shortest, "plan", fastest)
     legs = CYCLE.legs[0], replace(CYCLE.legs[1], duration="shortest")
     found = planner.run(replace(CYCLE, start="best", legs=legs), pump="cp", baseline=False, **QUICK)
     assert asked == [("best", "free", 250.0)]

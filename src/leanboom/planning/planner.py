@@ -1,4 +1,4 @@
-"""The planner: from a task to the best judged feasible motion, by any method.
+"""The planner: from a task to the best judged feasible motion, by any method; tasks with legs by `cycles`.
 
 Method `dp` runs the whole chain of the package: a coarse dynamic program over all feasible extensions, tubes
 around its motion on ever finer grids, then the polish with the switches fixed. Whatever step a candidate comes
@@ -28,7 +28,7 @@ from leanboom.methods.registry import EFFORTS, GRID, METHODS, STEP, Method, Sett
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import Kind, Outcome
 from leanboom.model.task import Task
-from leanboom.planning import cycles, junctions, time_sharing
+from leanboom.planning import cycles, leg_search
 from leanboom.problem import least_flow, stages, starts
 from leanboom.progress import Progress, quiet
 from leanboom.quantities.ranges import STAGE, noted, one_of
@@ -184,11 +184,11 @@ def run(
     gap = PROVEN[pump] if gap is None else gap
     certificate.check(pump, step, seconds, gap)
     tell = progress or quiet
+    again = partial(
+        run, pump=pump, cost=cost, method=method, grid=grid, effort=effort, seconds=seconds, gap=gap,
+        baseline=baseline, progress=progress,
+    )  # fmt: skip
     if task.timing != "fixed":
-        again = partial(
-            run, pump=pump, cost=cost, method=method, grid=grid, effort=effort, seconds=seconds, gap=gap,
-            baseline=baseline, progress=progress,
-        )  # fmt: skip
         return _timed(task, cost, step, warm_start, tell, again, check)
     tell("loading kernels", 0.0)
     with compiling.told(tell):
@@ -199,7 +199,8 @@ def run(
     proven = effort == "thorough" and not task.legs and certificate.provable(task) and cost == pump
     settings = Settings(grid, step, effort, tuple(warm_start), proof.seek if proven else None)
     if task.legs:
-        best = _with_legs(task, cost, chosen, tell, settings, pump)
+        freed = partial(_freed, again, step)
+        best = cycles.plan(task, cost, chosen, tell, settings, freed)
         task = best.task
     else:
         best = _single(task, cost, method, chosen, tell, settings)
@@ -235,55 +236,14 @@ def _single(task: Task, cost: str, name: str, method: Method, tell: Progress, se
     return evaluate(settled, answer) if isinstance(answer, Motion) else answer
 
 
-def _with_legs(task: Task, cost: str, method: Method, tell: Progress, settings: Settings, pump: str) -> Evaluation:
-    """The judged motion of a task with legs, its task with the durations and the timings that were planned.
-
-    Fastest legs come first, since next to nothing is left to choose in them, then the durations of others, then all
-    legs together; at last the speed along legs of a free timing, between the extensions found.
-    """
-    fast: dict[int, Evaluation] = {}
-    for i, leg in enumerate(task.legs):
-        if leg.duration == "shortest":
-            with junctions.named(i):
-                fast[i] = shortest.plan(_alone(task, i, fast), cost, tell)
-            task = _retimed(task, i, fast[i])
-    task = time_sharing.share(task, cost, method, tell, settings, fast)
-    found = cycles.legs(task, cost, method, tell, settings, fast)
-    for i, leg in enumerate(task.legs):
-        if leg.timing == "free" and i not in fast:
-            known = found[i]
-            with junctions.named(i):
-                freed = run(
-                    replace(known.task, timing="free"), pump=pump, cost=cost, grid=settings.grid, step=settings.step,
-                    effort=settings.effort, warm_start=(known.motion,), baseline=False, check=False, progress=tell,
-                ).evaluation  # fmt: skip
-            found[i] = ranking.better(known, freed, cost)
-        if leg.timing == "free":
-            task = _retimed(task, i, found[i])
-    return cycles.whole(task, found)
-
-
-def _alone(task: Task, i: int, fast: dict[int, Evaluation]) -> Task:
-    """A leg by itself, its extensions given where the legs before and after it, as far as known, say them."""
-    part = [each for each in task.stretches if not each.waits][i]
-    first, last = i == 0, i == len(task.legs) - 1
-    ends = {k: (float(each.motion.position[0]), float(each.motion.position[-1])) for k, each in fast.items()}
-    start = ends[i - 1][1] if i - 1 in ends else task.start if first else "best"
-    end = "free" if not last else ends[0][0] if task.end == "same" and 0 in ends else task.end
-    if end == "same" and not first:  # the start of the whole, which is that of another leg
-        end = "free" if task.start == "best" else task.start
-    return task.stretch(part, start, end)
-
-
-def _retimed(task: Task, i: int, planned: Evaluation) -> Task:
-    """The task with a leg in the timing of a motion of it."""
-    leg = replace(task.legs[i], path=planned.task.path, duration=None, timing="fixed")
-    return replace(task, legs=(*task.legs[:i], leg, *task.legs[i + 1 :]))
+def _freed(again: Callable[..., Plan], step: float, leg: Task, known: Motion) -> Evaluation:
+    """The judged motion of a leg, its speed along the path planned from a motion in its own timing."""
+    return again(leg, step=step, warm_start=(known,), baseline=False, check=False).evaluation
 
 
 def _baseline(task: Task, start: float) -> Evaluation | None:
     """The actuator pseudo-inverse from a start [m], its end free, judged; None where it cannot follow the path."""
-    return cycles.baseline(task, start) if task.legs else pseudo_inverse.baseline(replace(task, end="free"), start)
+    return leg_search.baseline(task, start) if task.legs else pseudo_inverse.baseline(replace(task, end="free"), start)
 
 
 def _timed(

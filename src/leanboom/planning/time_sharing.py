@@ -20,7 +20,7 @@ from leanboom.methods.registry import Method, Settings
 from leanboom.model import motion
 from leanboom.model.legs import Leg, span
 from leanboom.model.task import Task
-from leanboom.planning import cycles, junctions
+from leanboom.planning import junctions, leg_search
 from leanboom.problem import stages
 from leanboom.progress import Progress
 
@@ -58,7 +58,7 @@ def share(
     times = _evenly(task, spans)
     for count, part in zip(SAMPLES, (1.0, CLOSER), strict=True):
         tell("time of the legs", 0.01)
-        known = cycles.legs(_lasting(task, times), cost, method, tell, quick, given)
+        known = leg_search.legs(_lasting(task, times), cost, method, tell, quick, given)
         near = [
             (max(low, t - 0.5 * part * (high - low)), min(high, t + 0.5 * part * (high - low)))
             if part < 1.0 else (low, high)
