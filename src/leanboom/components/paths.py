@@ -87,8 +87,7 @@ class Lines:
     def values(self, time: np.ndarray) -> Values:
         """Tool position [m], velocity [m/s] and acceleration [m/s^2] at times within [0, duration]."""
         points = np.asarray(self.points, dtype=np.float64)
-        ends = np.cumsum(self.durations)
-        segment = np.minimum(np.searchsorted(ends, time, side="right"), len(ends) - 1)
+        ends, segment = np.cumsum(self.durations), pieces(self.breaks, time)
         length = np.asarray(self.durations)[segment]
         s = np.clip((time - (ends[segment] - length)) / length, 0.0, 1.0)
         step = points[segment + 1] - points[segment]
@@ -212,10 +211,20 @@ class Retimed:
         return position, first * rate, second * rate**2 + first * slope
 
 
+def pieces(breaks: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Numbers of the pieces in which times are, from 0; where two pieces meet, that of the later one.
+
+    Args:
+        breaks: Times where pieces meet, both ends included [s].
+        time: The times [s].
+    """
+    return np.searchsorted(breaks[1:-1], time, side="right")
+
+
 def geometry(path: Lines | Spline, passed: np.ndarray) -> Values:
     """Tool position [m] and its two derivatives over a path's own time [s], as `Retimed` follows the path."""
     begins, coefficients = cubics(path)
-    piece = np.searchsorted(begins[1:], passed, side="right")
+    piece = pieces(path.breaks, passed)
     c = coefficients[piece]
     since = (passed - begins[piece])[:, None]
     position = c[:, 0] + since * (c[:, 1] + since * (c[:, 2] + since * c[:, 3]))
@@ -408,7 +417,7 @@ class Joined:
     def values(self, time: np.ndarray) -> Values:
         """Tool position [m], velocity [m/s] and acceleration [m/s^2] at times within [0, duration]."""
         time, ends = np.asarray(time, dtype=np.float64), self._ends
-        at = np.minimum(np.searchsorted(ends, time, side="right"), len(ends) - 1)
+        at = pieces(np.append(0.0, ends), time)
         found = tuple(np.empty((time.size, 3)) for _ in range(3))
         for i, path in enumerate(self.paths):
             here = at == i

@@ -21,11 +21,12 @@ quadrature second order and keeps acceleration limits on either side of a switch
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from leanboom.components.costs import CostTerms, Supply
+from leanboom.evaluation.evaluate import Evaluation, evaluate
 from leanboom.fixed_mode import derivatives, interior_point
 from leanboom.formulas import hydraulics
 from leanboom.model import crane as cranes
@@ -191,6 +192,24 @@ def solve(
     velocity = answer.state[:, 1].copy()
     velocity[-1] = 0.0
     return motion.from_velocities(problem.step, float(answer.state[0, 0]), velocity, seed.method, polisher.cost), text
+
+
+def between(
+    polisher: Polisher, beside: Motion, start: float, end: float, switches: Modes | None = None
+) -> Evaluation | None:
+    """The judged motion from a start to an end [m], polished from one beside it; None where none is found.
+
+    Args:
+        polisher: The built problem, of a task that asks for an end.
+        beside: The other motion, on the problem's stages.
+        start, end: Of the redundant cylinder [m].
+        switches: The modes; None: as they are read off the other motion once it is led there.
+    """
+    seed = motion.from_velocities(beside.step, start, beside.velocity, "dp", polisher.cost)
+    seed = motion.ending_at(seed, end)
+    switches = modes(polisher, seed) if switches is None else switches
+    answer, _ = solve(polisher, seed, switches)
+    return None if answer is None else evaluate(replace(polisher.problem.task, start=start, end=end), answer)
 
 
 def _program(

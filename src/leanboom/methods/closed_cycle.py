@@ -14,12 +14,11 @@ import numpy as np
 from leanboom.components.costs import COSTS
 from leanboom.errors import InputError
 from leanboom.evaluation import ranking
-from leanboom.evaluation.evaluate import Evaluation, evaluate, judged_cost
+from leanboom.evaluation.evaluate import Evaluation, judged_cost
 from leanboom.fixed_mode import modes
-from leanboom.fixed_mode.modes import Modes, Polisher
+from leanboom.fixed_mode.modes import Polisher
 from leanboom.methods.dp_refined import Search
 from leanboom.methods.registry import EFFORTS
-from leanboom.model import motion
 from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import stages
@@ -81,27 +80,11 @@ def _search(task: Task, start: float, cost: str, grid: tuple[int, int], step: fl
     return Search(replace(task, start=start), cost, grid, step, EFFORTS["quick"]).run()
 
 
-def _polished(polisher: Polisher, beside: Motion, start: float, switches: Modes | None = None) -> Evaluation | None:
-    """The judged closed motion from a start [m], polished from one beside it; None where nothing is found.
-
-    Args:
-        polisher: The fixed-mode program of the closed task.
-        beside: The other motion, on the program's stages.
-        start: The start.
-        switches: The modes; None: as they are read off the motion once it is moved to the start.
-    """
-    seed = motion.from_velocities(beside.step, start, beside.velocity, "dp", polisher.cost)
-    seed = motion.ending_at(seed, start)
-    switches = modes.modes(polisher, seed) if switches is None else switches
-    answer, _ = modes.solve(polisher, seed, switches)
-    return None if answer is None else evaluate(replace(polisher.problem.task, start=start), answer)
-
-
 def _continued(polisher: Polisher, first: Motion, lengths: np.ndarray) -> list[Evaluation]:
     """Judged closed motions from one start after the other [m], each polished from the one before."""
     at, found = stages.on_stages(polisher.problem, first), []
     for start in lengths.tolist():
-        judged = _polished(polisher, at, start)
+        judged = modes.between(polisher, at, start, start)
         if judged is None:
             break
         found.append(judged)
@@ -120,7 +103,7 @@ def _moved_start(polisher: Polisher, found: Evaluation, lengths: np.ndarray) -> 
 
     def closed(start: float) -> float:
         nonlocal best
-        judged = _polished(polisher, at, start, switches)
+        judged = modes.between(polisher, at, start, start, switches)
         if judged is None:
             return 10.0 * abs(judged_cost(found, cost))
         best = ranking.better(best, judged, cost)

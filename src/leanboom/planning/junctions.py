@@ -17,12 +17,10 @@ import numpy as np
 from leanboom.dynamic_programming import value_function
 from leanboom.dynamic_programming.value_function import Policy, Terminal
 from leanboom.errors import InfeasibleError, InputError
-from leanboom.evaluation.evaluate import Evaluation, evaluate, judged_cost
+from leanboom.evaluation.evaluate import Evaluation, judged_cost
 from leanboom.fixed_mode import modes
-from leanboom.fixed_mode.modes import Modes, Polisher
 from leanboom.methods import closed_cycle
 from leanboom.methods.dp_refined import coarse_policy, stage_length
-from leanboom.model import motion
 from leanboom.model.motion import Motion
 from leanboom.model.task import Stretch, Task
 from leanboom.problem import stages, starts
@@ -203,7 +201,7 @@ class Mover:
             return self.given.known[i]
         key = i, round(start, 9), round(end, 9)
         if key not in self._known:
-            self._known[key] = polished(self._polishers[i], self._seeds[i], start, end, self._switches[i])
+            self._known[key] = modes.between(self._polishers[i], self._seeds[i], start, end, self._switches[i])
         return self._known[key]
 
     def legs(self, at: np.ndarray) -> list[Evaluation | None]:
@@ -269,17 +267,3 @@ class Mover:
 def ended(problem: Problem) -> Problem:
     """A problem whose motions end where they are led to."""
     return replace(problem, task=replace(problem.task, start="middle", end="same"))
-
-
-def polished(polisher: Polisher, beside: Motion, start: float, end: float, switches: Modes) -> Evaluation | None:
-    """The judged motion of a leg from a start to an end [m], polished from one beside it; None where none is found.
-
-    Args:
-        polisher: The fixed-mode program of a leg with a given end.
-        beside: The other motion, on the program's stages.
-        start, end: Of the redundant cylinder [m].
-        switches: The modes.
-    """
-    seed = motion.from_velocities(beside.step, start, beside.velocity, "dp", polisher.cost)
-    answer, _ = modes.solve(polisher, motion.ending_at(seed, end), switches)
-    return None if answer is None else evaluate(replace(polisher.problem.task, start=start, end=end), answer)

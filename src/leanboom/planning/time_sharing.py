@@ -153,7 +153,7 @@ def _in_time(leg: Leg, beside: Evaluation, cost: str, duration: float) -> Evalua
     slower = duration / moved.duration
     seed = motion.from_velocities(problem.step, moved.position[0], moved.velocity / slower, moved.method, cost)
     ends = float(moved.position[0]), float(moved.position[-1])
-    return junctions.polished(polisher, seed, *ends, modes.modes(polisher, seed))
+    return modes.between(polisher, seed, *ends, modes.modes(polisher, seed))
 
 
 def _shared(task: Task, curves: list[Curve], spans: list[tuple[float, float]], now: list[float]) -> list[float]:

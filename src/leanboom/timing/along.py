@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leanboom.components.paths import Lines, Retimed, Spline, geometry
+from leanboom.components.paths import Lines, Retimed, Spline, geometry, pieces
 from leanboom.errors import InputError
 from leanboom.model import crane as cranes
 from leanboom.model.motion import Motion
@@ -59,13 +59,12 @@ def own_time(task: Task, time: np.ndarray) -> np.ndarray:
     if isinstance(path, Spline):
         return np.asarray(time, dtype=np.float64)
     assert isinstance(path, Lines)
-    ends, lengths = np.cumsum(path.durations), np.asarray(path.durations)
-    segment = np.minimum(np.searchsorted(ends, time, side="right"), len(ends) - 1)
-    begins = ends[segment] - lengths[segment]
-    s = np.clip((time - begins) / lengths[segment], 0.0, 1.0)
+    segment = pieces(path.breaks, time)
+    begins, lengths = path.breaks[segment], np.asarray(path.durations)[segment]
+    s = np.clip((time - begins) / lengths, 0.0, 1.0)
     way = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)  # by the quintic; the cubic's share of time for the same way
     share = 0.5 - np.sin(np.arcsin(np.clip(1.0 - 2.0 * way, -1.0, 1.0)) / 3.0)
-    return begins + lengths[segment] * share
+    return begins + lengths * share
 
 
 def plane_at(task: Task, shape: Lines | Spline, tau: np.ndarray) -> cranes.Plane:

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from leanboom.components.paths import Lines, Spline, cubics, geometry
+from leanboom.components.paths import Lines, Spline, cubics, geometry, pieces
 from leanboom.formulas import kinematics
 from leanboom.methods import smoothed_nlp
 from leanboom.methods.smoothed_nlp import Answer, Level
@@ -192,7 +192,7 @@ class Program:
                 piece = np.repeat(np.arange(begins.size), counts)
             else:  # a point where pieces meet belongs to that of the interval
                 nearly = tau + 1e-9 * (inside - tau)
-                piece = np.clip(np.searchsorted(begins, nearly, side="right") - 1, 0, begins.size - 1)
+                piece = pieces(self.shape.breaks, nearly)
             found += [begins[piece][:, None], coefficients[piece]]
         plane = plane_at(self.task, self.shape, values[:, TAU])
         turns = np.zeros(values.shape[0])
