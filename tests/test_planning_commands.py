@@ -297,8 +297,8 @@ def test_a_baseline_is_planned_from_end_to_end(monkeypatch, tmp_path):
 
 
 SIMULATED = [
-    "task", "pump", "method", "energy_j", "planned_energy_j", "path_accuracy_m", "balance_error", "wall_s",
-    "realtime_factor", "events", "out",
+    "task", "pump", "method", "energy_j", "planned_energy_j", "path_accuracy_m", "balance_error",
+    "legs", "wall_s", "realtime_factor", "events", "out",
 ]  # fmt: skip
 
 

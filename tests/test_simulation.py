@@ -11,8 +11,10 @@ import leanboom as lb
 from leanboom.components.pumps import EfficiencyMap
 from leanboom.components.valves import METERING
 from leanboom.errors import InputError
+from leanboom.model import motion
 from leanboom.model.motion import from_velocities
-from leanboom.model.task import Lines
+from leanboom.model.task import Leg, Lines
+from leanboom.report import simulation_page
 from leanboom.simulation import closed_loop, controllers, integrator, plant
 from leanboom.simulation.adaptive_robust import AdaptiveRobust
 from leanboom.simulation.closed_loop import simulate
@@ -322,3 +324,64 @@ def test_a_payload_does_not_change_the_table():
 
     plain = controllers.measured_table(cranes.build(FORWARDER))
     assert controllers.measured_table(cranes.build(replace(FORWARDER, payload=300.0))) is plain
+
+
+# Cycles
+
+OUT, BACK = ((2.4, 0.0, 0.7), (2.6, 0.0, 1.0)), ((2.6, 0.0, 1.0), (2.4, 0.0, 0.7))
+SHARES = (0.6, 0.7, 0.72), (0.75, 0.82, 0.84), (0.8, 0.86, 0.88)
+LOSSY = EfficiencyMap(30.0, (30.0,), (20e-6, 60e-6, 200e-6), (5e6, 15e6, 25e6), (SHARES,))
+CYCLE = lb.Task(
+    name="cycle",
+    machine=replace(LOADER.machine, pump=replace(LOADER.machine.pump, efficiency=LOSSY)),
+    legs=(
+        Leg(payload=0.0, path=Lines(OUT, (1.5003,))),  # of other samples than 2 ms
+        Leg(payload=300.0, dwell=2.5, path=Lines(BACK, (1.5,))),
+    ),
+    start=0.5,
+    end="same",
+)
+
+
+@pytest.fixture(scope="module")
+def cycle():
+    parts = [glide(CYCLE.stretch(CYCLE.stretches[0]), 0.5, 0.6), motion.held(0.6, 2.5, "held", "none")]
+    parts[0] = motion.ending_at(replace(parts[0], step=1.5003 / 30), 0.6)
+    return simulate(CYCLE, motion.joined([*parts, glide(CYCLE.stretch(CYCLE.stretches[2]), 0.6, 0.5)]), "ls")
+
+
+def test_a_cycle_is_driven_as_one_run_whose_payload_changes_between_legs(cycle):
+    """The first leg is as alone; then the cylinders carry the load, and what it brings along is nobody's work."""
+    assert cycle.complete
+    assert cycle.time[-1] == pytest.approx(CYCLE.duration + closed_loop.SETTLE, abs=2e-3)
+    assert cycle.balance_error < 1e-5
+    first = CYCLE.stretches[0]
+    alone = simulate(CYCLE.stretch(first), motion.between(cycle.motion, first.since, first.until), "ls")
+    until = round(first.until / cycle.time[1])
+    np.testing.assert_allclose(cycle.power[:until], alone.power[:until], rtol=2e-3, atol=1.0)
+    np.testing.assert_allclose(cycle.joint_target[:until], alone.joint_target[:until], atol=1e-4)
+    waits = CYCLE.stretches[1]
+    at = round((waits.until - 0.1) / cycle.time[1])
+    load = controllers.static_loads(plant.build(CYCLE.stretch(waits)), cycle.joint_position[at])
+    assert cycle.force[at, -3] == pytest.approx(load[-3], rel=0.05)
+    assert cycle.force[at, -3] > cycle.force[until, -3] + 1e3  # [N], of the lift cylinder
+    assert np.abs(cycle.joint_position[-1] - cycle.joint_position[0]).max() < 0.01
+
+
+def test_the_waiting_of_a_cycle_costs_what_the_pump_loses_at_rest(cycle):
+    """Once the controller has lifted the load to its place."""
+    planned = float(np.interp(3.9, cycle.planned.time, cycle.planned.power_ls))
+    assert planned > 100.0
+    assert cycle.power[(cycle.time > 3.8) & (cycle.time < 3.9)] == pytest.approx(planned, rel=0.01)
+
+
+def test_a_cycle_is_told_leg_by_leg(cycle):
+    found = simulation_page.summary(cycle)["legs"]
+    assert [leg["payload_kg"] for leg in found] == [0.0, 300.0]
+    assert sum(leg["energy_j"] for leg in found) == pytest.approx(cycle.energy)
+    assert sum(leg["planned_energy_j"] for leg in found) == pytest.approx(cycle.planned_energy)
+    assert max(leg["path_accuracy_m"] for leg in found) == cycle.path_accuracy > 0.0
+    assert ">300 kg</td>" in simulation_page.page(cycle)
+    early = {name: getattr(cycle, name)[:500] for name in ("time", "tool", "tool_target", "cumulative")}
+    ended = simulation_page.legs(replace(cycle, **early))
+    assert [leg.energy is None for leg in ended] == [False, True]

@@ -28,8 +28,8 @@ TASK = replace(
     lb.load_task("loader-triangle-small"), path=Lines(((2.4, 0.0, 0.7), (2.7, 0.0, 1.0)), (2.0,)), name="<lift>"
 )
 KEYS = [
-    "task", "pump", "method", "energy_j", "planned_energy_j", "path_accuracy_m", "balance_error", "wall_s",
-    "realtime_factor", "events", "out",
+    "task", "pump", "method", "energy_j", "planned_energy_j", "path_accuracy_m", "balance_error",
+    "legs", "wall_s", "realtime_factor", "events", "out",
 ]  # fmt: skip
 
 

@@ -192,7 +192,6 @@ def simulate(
     """Drive a plan in closed loop: pump, valves, oil and controller."""
     from leanboom.components.costs import PUMPS
     from leanboom.io import loading
-    from leanboom.model.task import take_single
     from leanboom.planning import planner
     from leanboom.quantities.ranges import one_of
     from leanboom.report import run_folder, simulation_page
@@ -211,7 +210,6 @@ def simulate(
     with Progress() as tell, run_folder.reserved(out):
         if kept is None:
             asked = loading.load_task(task)
-            take_single(asked, "the simulation")
             plan = planner.run(asked, pump=pump or "ls", method=method or "dp", check=False, progress=tell)
             result = closed_loop.simulate(plan.task, plan.motion, plan.pump, controller=controller, progress=tell)
             if out is not None:

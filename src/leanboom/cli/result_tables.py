@@ -10,7 +10,7 @@ from leanboom.cli.console import PUMPS, add_row, length, new_table, say, show
 from leanboom.evaluation import limits
 from leanboom.io.yaml_source import shortened
 from leanboom.planning import summaries
-from leanboom.report import facts
+from leanboom.report import facts, simulation_page
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -132,6 +132,9 @@ def simulation(console: Console, run: Simulation, out: Path | None) -> None:
     name = shortened(run.task.name, 80)
     say(console, f"{name}: {shortened(run.task.machine.name, 80)}, {PUMPS[run.pump]}, closed loop", "bold")
     console.print()
+    if run.task.legs:
+        _simulated_legs(console, run)
+        console.print()
     change = "" if run.change is None else f" ({100.0 * run.change:+.1f} %)"
     errors = ", ".join(
         f"{joint} {error:.4f} {'m' if joint == 'extension' else 'rad'}"
@@ -159,6 +162,20 @@ def simulation(console: Console, run: Simulation, out: Path | None) -> None:
         say(console, f"{'':<22}and {len(run.events) - EVENTS_SHOWN} more events", "yellow")
     if out is not None:
         say(console, f"{'Report':<22}{shortened(str(out / 'simulation.html'), 400)}")
+
+
+def _simulated_legs(console: Console, run: Simulation) -> None:
+    """Print the legs of a run, a line each: energies count waiting before them."""
+    headings = "payload\nkg", "waiting\ns", "time\ns", "simulated\nkJ", "planned\nkJ", "path accuracy\nm"
+    table = new_table("Leg", *headings, numbers=len(headings))
+    for i, leg in enumerate(simulation_page.legs(run), 1):
+        plan, energies = leg.planned, (leg.energy, leg.planned.energy)
+        found = ["-" if energy is None else f"{energy / 1e3:.2f}" for energy in energies]
+        accuracy = "-" if leg.path_accuracy is None else f"{leg.path_accuracy:.3f}"
+        add_row(table, str(i), f"{plan.payload:g}", f"{plan.dwell:g}", f"{plan.duration:.2f}", *found, accuracy)
+    show(console, table)
+    if said := simulation_page.waiting(run):
+        say(console, said)
 
 
 def comparison(console: Console, result: Comparison, out: Path | None) -> None:

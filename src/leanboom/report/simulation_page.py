@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from leanboom.planning import summaries
+from leanboom.planning.summaries import LegShare
 from leanboom.report import plan_page, rendering
 from leanboom.report.charts import COLOURS, POINTS, chart, chart_rows, pump_charts, pump_values, rounded
 from leanboom.simulation.closed_loop import SETTLE, Simulation
 
 SUMMARY, SAMPLES, PAGE = FILES = ("simulation.json", "simulation.csv", "simulation.html")
+LED_BACK = 5.0  # [J] of waiting beyond those of the plan, from where a reason is given
 SIMULATED, PORTS = "simulated", ("piston side", "rod side")
 
 
@@ -32,11 +37,58 @@ def summary(run: Simulation, out: Path | None = None) -> dict[str, Any]:
         "planned_energy_j": _finite(run.planned_energy),
         "path_accuracy_m": _finite(run.path_accuracy),
         "balance_error": _finite(run.balance_error),
+        "legs": [leg.json() for leg in legs(run)],
         "wall_s": _finite(run.wall_s),
         "realtime_factor": _finite(run.realtime_factor),
         "events": [event.json() for event in run.events],
         "out": None if out is None else str(out),
     }
+
+
+@dataclass(frozen=True, slots=True)
+class LegRun:
+    """A leg's part of a run, with the waiting before it; a task without legs is one of them."""
+
+    planned: LegShare
+    energy: float | None  # [J]; the last leg's counts what comes after the path's end; None where the run ended before
+    path_accuracy: float | None  # [m]
+
+    def json(self) -> dict[str, float | None]:
+        """The same as `--json` prints it."""
+        planned = self.planned.json()
+        return {
+            **planned, "energy_j": self.energy, "planned_energy_j": planned["energy_j"],
+            "path_accuracy_m": self.path_accuracy,
+        }  # fmt: skip
+
+
+def legs(run: Simulation) -> tuple[LegRun, ...]:
+    """The legs of a run; their energies sum to that of the whole.
+
+    Args:
+        run: The run.
+    """
+    ends = [each.until for each in run.task.stretches if not each.waits][:-1]
+    shares = summaries.legs(run.planned, run.pump)
+    found = []
+    for share, (since, until) in zip(shares, pairwise([0.0, *ends, np.inf]), strict=True):
+        begun = run.time[-1] > since or since == 0.0
+        energy, accuracy = (run.spent(since, until), run.accuracy_between(since, until)) if begun else (None, None)
+        found.append(LegRun(share, energy, accuracy))
+    return tuple(found)
+
+
+def waiting(run: Simulation) -> str:
+    """Sentence on what the pump takes while the crane waits between legs; empty where it does not."""
+    waits = [each for each in run.task.stretches if each.waits]
+    if not waits:
+        return ""
+    spent = sum(run.spent(each.since, each.until) for each in waits)
+    planned = sum(run.planned.spent(run.pump, each.since, each.until) for each in waits)
+    lasts = sum(each.until - each.since for each in waits)
+    said = f"While the crane waits, {lasts:g} s, the pump takes {spent / 1e3:.2f} kJ, {planned / 1e3:.2f} kJ by plan"
+    late = "; valves are late, and the crane is led back to its place under the payload of the leg to come"
+    return f"{said}{late if spent - planned > LED_BACK else ''}."
 
 
 def _finite(value: float) -> float | None:
@@ -103,6 +155,8 @@ def page(run: Simulation) -> str:
         solved=run.solved,
         verdict="Incomplete" if not run.complete else "Complete" if run.solved else "Complete, but of no solved plan",
         cards=_cards(run),
+        legs=legs(run) if run.task.legs else (),
+        waiting=waiting(run),
         first_card=" first",
         settle=SETTLE,
         points=POINTS,
@@ -131,8 +185,9 @@ def _cards(run: Simulation) -> list[tuple[str, str, str]]:
 def _data(run: Simulation) -> dict[str, Any]:
     at = np.unique(np.linspace(0, run.time.size - 1, min(POINTS, run.time.size)).round().astype(int))
     plan, last = run.planned, run.planned.time.size - 1
-    there = np.minimum(at, last)
-    moving = at <= last
+    # Samples of legs are a little apart from those of the run.
+    there = np.minimum(np.searchsorted(plan.time, run.time[at] - 0.5 * run.time[:2].max()), last)
+    moving = run.time[at] <= plan.time[-1] + 0.5 * run.time[:2].max()
 
     flow, supply, power, energy = (values[there] for values in pump_values(plan, run.pump))
     simulated = [values[at] for values in (run.pump_flow, run.supply, run.power, run.cumulative)]

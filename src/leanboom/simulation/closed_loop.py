@@ -3,12 +3,18 @@
 Every 2 ms the controller sees cylinders and targets and sets the valves; the plant moves on by itself in between. The
 plan is what the judge makes of the motion. After the path's end the targets stay for a second: valves are late.
 Whatever ends a run early, the part before it is kept and marked incomplete.
+
+A task with legs is one run. Where its payload changes, the crane is at rest by plan: positions, velocities and
+pressures go on, the bodies become others, and a controller is made for them. What the change brings along or takes
+away, height and what is left of velocity, counts neither as work nor as loss.
 """
 
 from __future__ import annotations
 
 import time as clock
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby, pairwise
 from typing import Any
 
 import numpy as np
@@ -16,12 +22,12 @@ import numpy as np
 from leanboom.components.costs import PUMPS, Supply
 from leanboom.components.pump_power import shaft_of
 from leanboom.errors import InputError
-from leanboom.evaluation.evaluate import Evaluation, evaluate
+from leanboom.evaluation.evaluate import SAMPLE, Evaluation, evaluate
 from leanboom.formulas import hydraulics, kinematics
 from leanboom.model.cost_rates import supply_of
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import COMPLETE, Kind, Outcome
-from leanboom.model.task import Task, sample, take_single
+from leanboom.model.task import Task, sample
 from leanboom.progress import Progress, quiet
 from leanboom.quantities.ranges import one_of
 from leanboom.simulation import controllers, events, path_accuracy, plant
@@ -109,6 +115,11 @@ class Simulation:
         left = sum(value for name, value in self.balance.items() if name != "pump")
         return abs(given - left) / given if given > 0.0 else abs(left)
 
+    def spent(self, since: float, until: float) -> float:
+        """Energy of the pump between two times [s] [J]; times beyond the run's end are its end."""
+        before, after = np.interp([since, until], self.time, self.cumulative)
+        return float(after - before)
+
     @property
     def joint_error(self) -> np.ndarray:
         """Largest distance of every joint from its target, (cylinders,) [rad], [m] for the extension."""
@@ -117,7 +128,11 @@ class Simulation:
     @property
     def path_accuracy(self) -> float:
         """Largest distance of the tool's path from the commanded one, by ISO 9283 [m]."""
-        return path_accuracy.path_accuracy(self.time, self.tool_target, self.tool)
+        return self.accuracy_between(0.0, np.inf)
+
+    def accuracy_between(self, since: float, until: float) -> float:
+        """The same of what is commanded between two times [s] [m]."""
+        return path_accuracy.path_accuracy(self.time, self.tool_target, self.tool, since, until)
 
     @property
     def realtime_factor(self) -> float:
@@ -160,7 +175,6 @@ def simulate(
             exist; or the controller's answer cannot be used.
     """
     one_of("pump", pump, PUMPS)
-    take_single(task, "the simulation")
     wanted = task.machine.valve.controller if controller is None else controller
     factory = CONTROLLERS.find(wanted) if isinstance(wanted, str) else wanted
     planned = evaluate(task, motion)
@@ -168,58 +182,121 @@ def simulate(
         raise InputError(f"the motion leaves the crane's reach: {planned.status}; simulate one that keeps its path")
     tell = progress or quiet
     tell("building the plant", 0.0)
-    crane_plant = plant.build(task)
-    step = float(planned.time[1] - planned.time[0])
-    start = planned.joint_position[0]
-    rig = Rig(crane_plant, start.copy(), step)
-    chosen = factory(rig)
+    targets = _targets(planned)
+    parts = _parts(task, targets)
+    chosen = [factory(Rig(part.plant, targets.joint[part.first].copy(), targets.step)) for part in parts]
     began = clock.perf_counter()
-    run = _Run(crane_plant, planned, pump, step, tolerance)
+    run = _Run(parts, targets, planned, pump, tolerance)
     status = run.drive(chosen, tell)
     result = _result(run, motion, pump, factory, status)
     return replace(result, wall_s=clock.perf_counter() - began)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Targets:
+    """A plan on equal samples, from its start to its end; arrays are (samples, cylinders)."""
+
+    time: np.ndarray  # [s], (samples,)
+    joint: np.ndarray  # [rad] or [m]
+    position: np.ndarray  # of the pistons, beyond retracted [m]
+    velocity: np.ndarray  # [m/s]
+    acceleration: np.ndarray  # [m/s^2]
+
+    @property
+    def step(self) -> float:
+        """Time between samples [s]."""
+        return float(self.time[1] - self.time[0])
+
+    @property
+    def count(self) -> int:
+        """Samples of a whole run after its first one: until the crane has been watched for `SETTLE` besides."""
+        return self.time.size - 1 + round(SETTLE / self.step)
+
+
+def _targets(planned: Evaluation) -> _Targets:
+    """Targets of a plan: that of a single path has equal samples already, those of legs are a little unequal."""
+    machine, lasts = planned.task.machine, planned.task.duration
+    time = np.linspace(0.0, lasts, max(2, round(lasts / SAMPLE) + 1))
+    joints, length, velocity, acceleration = (
+        np.stack([np.interp(time, planned.time, column) for column in values.T], axis=1)
+        for values in (planned.joint_position, planned.length, planned.velocity, planned.acceleration)
+    )
+    shortest = [
+        plant.retracted(c, joint.lower, joint.upper)[0]
+        for c, joint in zip(machine.cylinders, machine.joints, strict=True)
+    ]
+    return _Targets(time, joints, length - np.array(shortest), velocity, acceleration)
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A part of a run with one payload, between two samples."""
+
+    plant: Plant
+    first: int
+    last: int
+
+
+def _parts(task: Task, targets: _Targets) -> list[_Part]:
+    """The parts of a run: a payload is on the tool from the end of the leg before it on."""
+    if not task.legs:
+        return [_Part(plant.build(task), 0, targets.count)]
+    same = [list(each) for _, each in groupby(task.stretches, lambda each: task.legs[each.leg].payload)]
+    ends = [round(each[-1].until / targets.step) for each in same[:-1]]
+    return [
+        _Part(plant.build(task.stretch(each[0])), first, last)
+        for each, (first, last) in zip(same, pairwise([0, *ends, targets.count]), strict=True)
+        if first < last
+    ]
+
+
 class _Run:
     """One run, sample by sample, and what it records."""
 
-    def __init__(self, crane_plant: Plant, planned: Evaluation, pump: str, step: float, tolerance: float):
-        self.plant, self.planned, self.step = crane_plant, planned, step
-        machine = planned.task.machine
-        self.samples = planned.time.size - 1 + round(SETTLE / step)
-        self.spools = Spools(machine, step)
-        delay = self.spools.delay
-        self.edges = np.zeros((self.samples + delay + 2, 4 * len(machine.cylinders)))
+    def __init__(
+        self, parts: Sequence[_Part], targets: _Targets, planned: Evaluation, pump: str, tolerance: float,
+    ):  # fmt: skip
+        self.parts, self.targets, self.planned = parts, targets, planned
+        machine, first = planned.task.machine, parts[0].plant
+        self.layout, self.step, self.samples = first.layout, targets.step, targets.count
+        self.spools = Spools(machine, self.step)
+        self.edges = np.zeros((self.samples + self.spools.delay + 2, 4 * len(machine.cylinders)))
         self.commands = np.zeros((self.samples + 1, self.spools.count))
-        start = planned.joint_position[0]
-        state = controllers.resting(crane_plant, controllers.static_loads(crane_plant, start))
-        state[crane_plant.layout.q] = start
-        if crane_plant.tip:
-            state[crane_plant.layout.bent] = crane_plant.tip.rest(start)
+        start = targets.joint[0]
+        state = controllers.resting(first, controllers.static_loads(first, start))
+        state[self.layout.q] = start
+        if first.tip:
+            state[self.layout.bent] = first.tip.rest(start)
         if pump == "cp":
-            state[crane_plant.layout.supply] = supply_of(machine.pump, Supply.CONSTANT)[0]
-        self.states = np.empty((self.samples + 1, crane_plant.layout.size))
+            state[self.layout.supply] = supply_of(machine.pump, Supply.CONSTANT)[0]
+        self.states = np.empty((self.samples + 1, self.layout.size))
         self.states[0] = state
         self.reached = 0
-        self.load_sensing = pump == "ls"
-        self.integrator = Integrator(
-            crane_plant, state, self.edges, load_sensing=self.load_sensing, step=step, ahead=delay, tolerance=tolerance
-        )
-        shortest = [
-            plant.retracted(c, joint.lower, joint.upper)[0]
-            for c, joint in zip(machine.cylinders, machine.joints, strict=True)
-        ]
-        self.targets = planned.length - np.array(shortest)
+        self.load_sensing, self.tolerance = pump == "ls", tolerance
 
-    def drive(self, controller: controllers.Controller, tell: Progress) -> Outcome:
-        """Run to the end; `complete`, or why it ended early."""
-        layout, n, planned = self.plant.layout, self.plant.layout.n, self.planned
-        delay, last = self.spools.delay, planned.time.size - 1
+    def drive(self, chosen: Sequence[controllers.Controller], tell: Progress) -> Outcome:
+        """Run to the end, with a controller for each part; `complete`, or why it ended early."""
+        try:
+            for part, controller in zip(self.parts, chosen, strict=True):
+                self._drive(part, controller, tell)
+        except SolverError as error:
+            return Outcome(Kind.INCOMPLETE, f"incomplete: {error} at {self.reached * self.step:.3f} s")
+        self.commands[-1] = self.commands[-2]
+        return COMPLETE
+
+    def _drive(self, part: _Part, controller: controllers.Controller, tell: Progress) -> None:
+        """Run a part to its end; SolverError where that is not reached."""
+        layout, n, targets = self.layout, self.layout.n, self.targets
+        delay, last = self.spools.delay, targets.time.size - 1
         still = np.zeros(n)
-        for k in range(self.samples):
+        integrator = Integrator(
+            part.plant, self.states[part.first], self.edges, load_sensing=self.load_sensing, step=self.step,
+            ahead=delay, tolerance=self.tolerance, since=part.first,
+        )  # fmt: skip
+        for k in range(part.first, part.last):
             if k % REPORTED == 0:
                 tell("simulating", k / self.samples)
-            state, moved, at = self.states[k], self.integrator.measure(), min(k, last)
+            state, moved, at = self.states[k], integrator.measure(), min(k, last)
             now = Sample(
                 time=k * self.step,
                 joint=state[layout.q],
@@ -228,19 +305,14 @@ class _Run:
                 pressure_a=state[layout.a],
                 pressure_b=state[layout.b],
                 supply=float(state[layout.supply]),
-                target_position=self.targets[at],
-                target_velocity=planned.velocity[at] if k < last else still,
-                target_acceleration=planned.acceleration[at] if k < last else still,
+                target_position=targets.position[at],
+                target_velocity=targets.velocity[at] if k < last else still,
+                target_acceleration=targets.acceleration[at] if k < last else still,
             )
             np.clip(self._answer(controller, now), -1.0, 1.0, out=self.commands[k])
             self.edges[k + delay + 1] = self.spools.move(self.commands[k], now.supply)
-            try:
-                self.states[k + 1] = self.integrator.advance(k + 1)
-            except SolverError as error:
-                return Outcome(Kind.INCOMPLETE, f"incomplete: {error} at {k * self.step:.3f} s")
+            self.states[k + 1] = integrator.advance(k + 1)
             self.reached = k + 1
-        self.commands[-1] = self.commands[-2]
-        return COMPLETE
 
     def _answer(self, controller: controllers.Controller, now: Sample) -> np.ndarray:
         answer = np.asarray(controller.command(now), dtype=np.float64)
@@ -252,43 +324,61 @@ class _Run:
             )
         return answer
 
-    def recorded(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """States up to where the run came, and what is observed in them, (samples,) or (samples, cylinders)."""
+    def recorded(self) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, float]]:
+        """States up to where the run came, (samples, size), what is observed in them, and energy gained by bodies [J].
+
+        What is observed is (samples,) or (samples, cylinders).
+        """
         states = self.states[: self.reached + 1]
         inputs = np.empty((states.shape[0], self.edges.shape[1] + 1))
         inputs[:, :-1], inputs[:, -1] = self.edges[: states.shape[0]], float(self.load_sensing)
-        values = self.plant.observe(states.T, inputs.T)
-        observed = {name: np.asarray(value.full()).T.copy() for name, value in zip(plant.OBSERVED, values, strict=True)}
-        moved = np.asarray(self.plant.measure(states.T).full()).T
-        n = self.plant.layout.n
-        return states, {**observed, "position": moved[:, :n].copy(), "velocity": moved[:, n:].copy()}
+        seen: dict[str, list[np.ndarray]] = {}
+        gained = {"kinetic": 0.0, "potential": 0.0}
+        for part in self.parts:
+            if part.first > self.reached:
+                break
+            # Where the payload changes, a sample is observed with that before.
+            here = slice(part.first + (part.first > 0), min(part.last, self.reached) + 1)
+            values = part.plant.observe(states[here].T, inputs[here].T)
+            moved = np.asarray(part.plant.measure(states[here].T).full()).T
+            n = self.layout.n
+            for name, value in (
+                *((name, np.asarray(value.full()).T) for name, value in zip(plant.OBSERVED, values, strict=True)),
+                ("position", moved[:, :n]),
+                ("velocity", moved[:, n:]),
+            ):
+                seen.setdefault(name, []).append(value)
+            ends = part.plant.energy(states[[part.first, here.stop - 1]].T)
+            for name, value in zip(gained, ends, strict=True):
+                begin, end = np.asarray(value.full()).ravel()
+                gained[name] += float(end - begin)
+        return states, {name: np.concatenate(values) for name, values in seen.items()}, gained
 
 
 def _result(
     run: _Run, motion: Motion, pump: str, factory: Any, status: Outcome
 ) -> Simulation:  # one place where everything recorded is named
-    planned, layout = run.planned, run.plant.layout
+    planned, layout, targets = run.planned, run.layout, run.targets
     task, machine = planned.task, planned.task.machine
-    states, observed = run.recorded()
+    states, observed, gained = run.recorded()
     count = states.shape[0]
     time = run.step * np.arange(count)
     q = states[:, layout.q].copy()
     g = machine.geometry
     r, z = kinematics.tool_point(q[:, -3], q[:, -2], q[:, -1], g.base_x, g.base_z, g.boom, g.offset, g.outer)
-    if run.plant.tip:
-        bent = run.plant.tip.offset(q, states[:, layout.bent])
+    tip = run.parts[0].plant.tip
+    if tip:
+        bent = tip.offset(q, states[:, layout.bent])
         r, z = r + bent[0], z + bent[1]
     turned = q[:, 0] if g.slewing else np.zeros(count)
-    target = planned.joint_position[np.minimum(np.arange(count), planned.time.size - 1)]
+    target = targets.joint[np.minimum(np.arange(count), targets.time.size - 1)]
     supply, flow = states[:, layout.supply].copy(), observed["pump_flow"][:, 0]
     energies = states[:, layout.energy]
     # What is in proportion to p Q was integrated with the motion; the losses of an efficiency map follow here.
     shaft = shaft_of(machine.pump)
     losses = hydraulics.pump_losses(supply, flow, shaft.idle, shaft.leak, shaft.drag)
     lost = np.concatenate([[0.0], np.cumsum(0.5 * run.step * (losses[1:] + losses[:-1]))])
-    kinetic, potential = (np.asarray(value.full()).ravel() for value in run.plant.energy(states[[0, -1]].T))
-    balance = dict(zip(plant.ENERGIES, energies[-1].tolist(), strict=True))
-    balance |= {"kinetic": float(kinetic[1] - kinetic[0]), "potential": float(potential[1] - potential[0])}
+    balance = dict(zip(plant.ENERGIES, energies[-1].tolist(), strict=True)) | gained
     arrays = {
         "time": time,
         "tool": np.stack([r * np.cos(turned), r * np.sin(turned), z], axis=1),

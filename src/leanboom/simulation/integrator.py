@@ -29,18 +29,19 @@ class Integrator:
 
     Args:
         plant: The plant.
-        start: State at time 0, (size,).
+        start: State to begin with, (size,).
         edges: Open shares of the valve edges at every sample, (samples, cylinders x 4); filled by the caller, at
             least `ahead` samples before `advance` comes to them.
         load_sensing: Whether the pump is a load-sensing one.
         step: Time between samples [s].
         ahead: How many samples ahead edges are known.
         tolerance: Relative tolerance.
+        since: Sample to begin at.
     """
 
     def __init__(
         self, plant: Plant, start: np.ndarray, edges: np.ndarray, *, load_sensing: bool, step: float, ahead: int,
-        tolerance: float = TOLERANCE,
+        tolerance: float = TOLERANCE, since: int = 0,
     ):  # fmt: skip
         from scipy.integrate import ode
 
@@ -66,7 +67,7 @@ class Integrator:
             "vode", method="bdf", with_jacobian=True, rtol=tolerance, atol=absolute, order=5, nsteps=20000,
             max_step=min(max(ahead, 1), LONGEST) * step,
         )  # fmt: skip
-        self._solver.set_initial_value(self.state, 0.0)
+        self._solver.set_initial_value(self.state, since * step)
 
     def _right(self, time: float, y: np.ndarray) -> np.ndarray:
         at = time / self._step

@@ -14,13 +14,16 @@ SLOWEST = 1e-3  # [m/s], slower points of the commanded path have no direction t
 EVERY = 0.02  # [s], between the points that are looked at
 
 
-def path_accuracy(time: np.ndarray, commanded: np.ndarray, attained: np.ndarray) -> float:
+def path_accuracy(
+    time: np.ndarray, commanded: np.ndarray, attained: np.ndarray, since: float = 0.0, until: float = np.inf
+) -> float:
     """Largest distance of the attained path from the commanded one, AT_p of ISO 9283 [m].
 
     Args:
         time: Equally spaced times of all samples [s], (samples,).
         commanded: Commanded tool positions [m], (samples, 3); held after the path's end.
         attained: Attained tool positions [m], (samples, 3).
+        since, until: Times between which the commanded path is looked at [s].
 
     Returns:
         The distance, 0 for a tool that was to stay; where the attained path crosses no plane, that to its nearest
@@ -33,7 +36,8 @@ def path_accuracy(time: np.ndarray, commanded: np.ndarray, attained: np.ndarray)
     reach, every = round(WINDOW / step), max(1, round(EVERY / step))
     speed = np.linalg.norm(velocity, axis=1)
     worst = 0.0
-    for i in np.flatnonzero(speed > SLOWEST)[::every]:
+    looks = np.flatnonzero(speed > SLOWEST)[::every]
+    for i in looks[(time[looks] >= since) & (time[looks] <= until)]:
         first = max(0, int(i) - reach)
         around = attained[first : int(i) + reach + 1] - commanded[i]
         across = around @ (velocity[i] / speed[i])
