@@ -38,8 +38,10 @@ demo: $(READY) ## Plan the half-cycle of a forwarder crane and write its report 
 	@$(BIN)/leanboom plan forwarder-half-cycle --out demo
 	@echo "Open demo/report.html in a browser."
 
-test: lint ## Run the checks and all tests but the slow ones
-	@$(BIN)/python -m pytest -q --numprocesses 2 --dist worksteal -m "not slow"
+test: $(READY) ## Run the checks and, at the same time, all tests but the slow ones
+	@$(MAKE) --no-print-directory lint & checks=$$!; \
+	$(BIN)/python -m pytest -q --numprocesses 2 --dist worksteal -m "not slow"; tests=$$?; \
+	wait $$checks && exit $$tests
 
 slow: $(READY) ## Run the slow tests, and those of the kernels with indices checked
 	@NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -q --numprocesses 2 --dist loadfile $(KERNEL_TESTS)

@@ -66,24 +66,34 @@ def lift_body_centrifugal(q2, m, J, x, h, ox, v1):
 
 
 @formula
-def outer_body_coriolis(q2, q3, m, J, x, h, k, L1, ox, v1, v2, v3, v4):
-    """Centrifugal and Coriolis torques of lift, tilt [N m] and extension [N] of a body of the outer boom."""
-    s2 = np.sin(q2)
-    c2 = np.cos(q2)
+def outer_body_bias(q2, q3, x, h, k, L1, ox, v1, v2, v3, v4):
+    """Radial and vertical acceleration of a point of the outer boom without joint accelerations [m/s^2]."""
     s23 = np.sin(q2 + q3)
     c23 = np.cos(q2 + q3)
     v23 = v2 + v3
     xv = k * v4
-    radius = ox + L1 * c2 + x * c23 - h * s23
-    # Acceleration of the centre of mass that remains without joint accelerations: radial, vertical.
-    radial = -L1 * c2 * v2 * v2 + (h * s23 - x * c23) * v23 * v23 - 2.0 * s23 * v23 * xv - radius * v1 * v1
-    vertical = -L1 * s2 * v2 * v2 - (h * c23 + x * s23) * v23 * v23 + 2.0 * c23 * v23 * xv
+    radius = ox + L1 * np.cos(q2) + x * c23 - h * s23
+    radial = -L1 * np.cos(q2) * v2 * v2 + (h * s23 - x * c23) * v23 * v23 - 2.0 * s23 * v23 * xv - radius * v1 * v1
+    vertical = -L1 * np.sin(q2) * v2 * v2 - (h * c23 + x * s23) * v23 * v23 + 2.0 * c23 * v23 * xv
+    return radial, vertical
+
+
+@formula
+def outer_body_torques(q2, q3, m, x, h, k, L1, radial, vertical):
+    """Torques of lift, tilt [N m] and force of the extension [N] that accelerate a body of the outer boom."""
+    s23 = np.sin(q2 + q3)
+    c23 = np.cos(q2 + q3)
     r3 = -x * s23 - h * c23
     z3 = x * c23 - h * s23
-    spin = J * s23 * c23 * v1 * v1
-    lift = m * ((r3 - L1 * s2) * radial + (z3 + L1 * c2) * vertical) + spin
-    tilt = m * (r3 * radial + z3 * vertical) + spin
+    lift = m * ((r3 - L1 * np.sin(q2)) * radial + (z3 + L1 * np.cos(q2)) * vertical)
+    tilt = m * (r3 * radial + z3 * vertical)
     return lift, tilt, m * k * (c23 * radial + s23 * vertical)
+
+
+@formula
+def rod_centrifugal(angle, J, v1):
+    """Torque that holds a slender rod, turned up by an angle and slewing at v1, at that angle [N m]."""
+    return J * np.sin(angle) * np.cos(angle) * v1 * v1
 
 
 @formula

@@ -243,10 +243,11 @@ def velocity_torques(crane: Crane, q: tuple, v: tuple) -> tuple[Value, Value, Va
             )
         elif body.carrier == "tilt":
             k = body.extension_share
-            torques = dynamics.outer_body_coriolis(
-                q2, q3, body.mass, body.inertia, body.along + k * q4, body.above, k,
-                geometry.boom, geometry.base_x, v1, v2, v3, v4,
-            )  # fmt: skip
+            x, h, boom = body.along + k * q4, body.above, geometry.boom
+            bias = dynamics.outer_body_bias(q2, q3, x, h, k, boom, geometry.base_x, v1, v2, v3, v4)
+            lift, tilt, extension = dynamics.outer_body_torques(q2, q3, body.mass, x, h, k, boom, *bias)
+            spin = dynamics.rod_centrifugal(q2 + q3, body.inertia, v1)
+            torques = lift + spin, tilt + spin, extension
             total = [a + b for a, b in zip(total, torques, strict=True)]
     return total[0], total[1], total[2]
 
