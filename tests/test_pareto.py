@@ -11,7 +11,7 @@ import pytest
 from command_line import leanboom
 from leanboom.errors import InputError
 from leanboom.io.loading import load_task
-from leanboom.methods.dp_refined import shortest_duration, slower
+from leanboom.methods.least_duration import shortest_duration, slower
 from leanboom.model.task import Limits
 from leanboom.planning import planner
 from leanboom.study import pareto as study

@@ -16,7 +16,7 @@ from leanboom.components.costs import COSTS
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.evaluation.evaluate import PATH_TOLERANCE, TOLERANCE, Evaluation, evaluate, judged_cost
 from leanboom.io.loading import load_task
-from leanboom.methods import dp_refined
+from leanboom.methods import least_duration
 from leanboom.methods.registry import METHODS
 from leanboom.model.task import Lines, Spline, Task
 from leanboom.planning import planner
@@ -281,7 +281,7 @@ def test_golden_numbers(machine):
 @pytest.fixture(scope="module")
 def hurried():
     """The vertical path in a third of its time, planned by the pseudo-inverse: it breaks limits."""
-    fast = dp_refined.slower(VERTICAL, 0.3)
+    fast = least_duration.slower(VERTICAL, 0.3)
     return fast, planner.run(fast, method="sns-actuator", check=False)
 
 

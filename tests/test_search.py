@@ -70,6 +70,25 @@ def test_other_costs_lead_to_a_feasible_motion_where_this_one_does_not():
     assert looking.known_best().feasible
 
 
+def test_plans_do_not_depend_on_the_number_of_threads(monkeypatch):
+    """Local minima are searched beside each other, each without knowing what the others find meanwhile."""
+    found = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("LEANBOOM_THREADS", threads)
+        looking = dp_refined.Search(VERTICAL, "ls", (41, 31), 0.1)
+        problem = stages.discretise(VERTICAL, 0.1)
+        start = starts.start_position(problem, "middle")
+        assert start is not None
+        seeds = looking.coarse(problem, start)
+        assert len(seeds) > 1
+        around = looking.descend_all(problem, seeds, start, dp_refined.NEXT_LEVELS)
+        found.append((looking.known_best(), around, [text.split("  ")[-1] for text in looking.log]))
+    one, three = found
+    assert np.array_equal(one[0].motion.velocity, three[0].motion.velocity)
+    assert [each.energy_ls for each in one[1]] == [each.energy_ls for each in three[1]]
+    assert one[2] == three[2]
+
+
 def moved(seconds: float) -> Task:
     """The vertical path in another time."""
     assert isinstance(VERTICAL.path, Lines)

@@ -10,12 +10,15 @@ The judge measures every candidate, and the best feasible one wins.
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 
+from leanboom import resources
 from leanboom.components.costs import COSTS
 from leanboom.dynamic_programming import grids, local_minima, value_function
 from leanboom.dynamic_programming.value_function import Policy, Terminal
@@ -106,7 +109,7 @@ class Search:
         problem = stages.discretise(self.task, self.step)
         start = starts.start_position(problem, self.task.start)
         coarse = [seed for density in self.effort.grids for seed in self.coarse(problem, start, density)]
-        found = [self.descend(problem, seed, start, FIRST_LEVELS) for seed in coarse]
+        found = self.descend_all(problem, coarse, start, FIRST_LEVELS)
         for seed in seeds:
             judged = self.judge(seed, "given motion")
             found.append(judged)
@@ -133,7 +136,7 @@ class Search:
             span: Velocity that motions make use of [m/s].
         """
         self.span = span
-        found = [self.descend(problem, seed, start, FIRST_LEVELS) for seed in seeds]
+        found = self.descend_all(problem, seeds, start, FIRST_LEVELS)
         self.lead(problem, found, start)
         self.finer_stages(start)
         return self.known_best()
@@ -181,6 +184,34 @@ class Search:
             minima += [value_function.rollout(policy, float(each[0])) for each in (problem.lower, problem.upper)]
         self.note(f"coarse {grid.positions}x{grid.velocities}: {len(minima)} motions")
         return minima
+
+    def descend_all(
+        self, problem: Problem, seeds: Iterable[Motion], start: float | None, levels: tuple[int, ...]
+    ) -> list[Evaluation]:
+        """The best motion of `descend` around each of several motions, found in threads beside each other.
+
+        What is found around one is known to the others only afterwards, so results do not depend on the threads.
+        """
+        self.polisher(problem)  # built once, before threads ask for it
+        branches = [(self.branch(), seed) for seed in seeds]
+        with ThreadPoolExecutor(resources.threads()) as pool:
+            found = list(pool.map(lambda each: each[0].descend(problem, each[1], start, levels), branches))
+        for branch, _ in branches:
+            self.adopt(branch)
+        return found
+
+    def branch(self) -> Search:
+        """A search that knows what this one knows, and notes its own findings."""
+        other = copy.copy(self)
+        other.log, other._polished = [], list(self._polished)
+        return other
+
+    def adopt(self, branch: Search) -> None:
+        """Take over what a branch has found."""
+        self.log += branch.log
+        self._polished += [each for each in branch._polished if each not in self._polished]
+        if branch.best is not None and (self.best is None or ranking.beats(branch.best, self.best, self.cost)):
+            self.best, self.tightened = branch.best, branch.tightened
 
     def descend(self, problem: Problem, seed: Motion, start: float | None, levels: tuple[int, ...]) -> Evaluation:
         """The best motion found in tubes around a motion, each tube around the best one so far, and by polishing.
@@ -244,8 +275,7 @@ class Search:
             if gains(judged_cost(each, self.cost), judged_cost(leaders[-1], self.cost), SAME):
                 leaders.append(each)
         levels = NEXT_LEVELS if self.loads else NEXT_LEVELS[1:]
-        for each in leaders[: self.effort.leading]:
-            self.descend(problem, each.motion, start, levels)
+        self.descend_all(problem, [each.motion for each in leaders[: self.effort.leading]], start, levels)
         if self.loads and self.rides_on_a_limit(problem):
             self.descend(problem, self.known_best().motion, start, RIDING_LEVELS)
 
@@ -323,9 +353,7 @@ class Search:
         Returns:
             The best motion; None where the modes were polished before or nothing was found.
         """
-        polisher = self._polishers.get(problem.stages)
-        if polisher is None:
-            polisher = self._polishers[problem.stages] = modes.build(problem, self.cost)
+        polisher = self.polisher(problem)
         best: Evaluation | None = None
         for _ in range(rounds if self.loads else 1):  # without loads no modes, no second round
             at = self.ended(problem, seed)
@@ -352,6 +380,12 @@ class Search:
             if behind or settled:
                 break
         return best
+
+    def polisher(self, problem: Problem) -> Polisher:
+        """The fixed-mode program of a discretised task."""
+        if problem.stages not in self._polishers:
+            self._polishers[problem.stages] = modes.build(problem, self.cost)
+        return self._polishers[problem.stages]
 
     def repair(self, polisher: Polisher, judged: Evaluation, switches: Modes, free: bool) -> Evaluation:
         """Polish again with limits tightened by what a polished motion broke between the ends of its intervals."""
@@ -446,45 +480,3 @@ def gains(before: float, after: float, share: float) -> bool:
 def stage_length(task: Task, cost: str, step: float) -> float:
     """Length of a stage of the search [s]: as asked for, or less with loads on a short task."""
     return task.duration / LEAST_STAGES if COSTS[cost].loads and task.duration < LEAST_STAGES * step else step
-
-
-def slower(task: Task, factor: float) -> Task:
-    """The same task taking `factor` times as long."""
-    return replace(task, path=task.path.slower(factor))
-
-
-def shortest_duration(
-    task: Task, grid: tuple[int, int], step: float, accuracy: float = 0.01, most: float = 16.0, least: float = 1.0
-) -> float | None:
-    """Smallest factor on a task's duration, from `least` on, at which a feasible motion is found; None up to `most`.
-
-    Args:
-        task: The task.
-        grid: Position and velocity nodes.
-        step: Length of a stage [s].
-        accuracy: Relative accuracy of the factor, and the margin added to it.
-        most: Largest factor tried.
-        least: Smallest factor tried.
-
-    Returns:
-        The factor, margin included; `least` where that is feasible.
-    """
-
-    def feasible(factor: float) -> bool:
-        slow = slower(task, factor)
-        problem = stages.discretise(slow, step)
-        start = starts.start_position(problem, task.start)
-        quick = (Search(slow, cost, grid, step, EFFORTS["quick"]) for cost in ("cp", "velocity"))
-        return any(search.run_once(problem, start).feasible for search in quick)
-
-    if feasible(least):
-        return least
-    bad, good = least, 2.0 * least
-    while not feasible(good):
-        bad, good = good, 2.0 * good
-        if good > most:
-            return None
-    while good - bad > accuracy * good:
-        middle = 0.5 * (good + bad)
-        good, bad = (middle, bad) if feasible(middle) else (good, middle)
-    return good * (1.0 + accuracy)

@@ -23,7 +23,8 @@ from leanboom.errors import InfeasibleError, InputError
 from leanboom.evaluation import ranking
 from leanboom.evaluation.evaluate import Evaluation, check_measurable, evaluate, judged_cost
 from leanboom.methods import closed_cycle, pseudo_inverse
-from leanboom.methods.dp_refined import gains, shortest_duration, stage_length
+from leanboom.methods.dp_refined import gains, stage_length
+from leanboom.methods.least_duration import shortest_duration
 from leanboom.methods.registry import EFFORTS, GRID, METHODS, STEP, Method, Settings
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import Kind, Outcome

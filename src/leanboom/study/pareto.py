@@ -15,7 +15,8 @@ import numpy as np
 from leanboom.components.costs import PUMPS
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.evaluation.evaluate import Evaluation, evaluate
-from leanboom.methods.dp_refined import gains, shortest_duration, slower
+from leanboom.methods.dp_refined import gains
+from leanboom.methods.least_duration import shortest_duration, slower
 from leanboom.methods.registry import GRID, STEP
 from leanboom.model import motion
 from leanboom.model.motion import Motion
