@@ -55,16 +55,8 @@ class Job:
     method: str  # a name of `registry.METHODS`, COARSE or SIGNED
     cost: str
     grid: tuple[int, int] = GRID
-
-    @property
-    def driven(self) -> bool:
-        """Whether its motion is simulated in closed loop as well: all but sweeps over grids and parameters are."""
-        return self.method != COARSE and self.grid == GRID
-
-    @property
-    def switched(self) -> bool:
-        """Whether it is simulated with every one of `SWITCHES` as well: for Table 4."""
-        return self.driven and not self.task.machine.valve.separate and self.task.start == "smallest"
+    driven: bool = False  # whether its motion is simulated in closed loop as well
+    switched: bool = False  # whether so with every one of `SWITCHES` too
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +106,7 @@ def percent(new: Record, old: Record, quantity: str) -> float | None:
     return None if change is None else 100.0 * (change - 1.0)
 
 
-# The papers' tasks.
+# The papers' tasks, and their solutions. Simulations take longer than plans: only those are driven that lines read.
 
 
 @functools.cache
@@ -125,6 +117,15 @@ def _triangle_task(size: str) -> Task:
 @functools.cache
 def _forwarder_task(path: str, start: str) -> Task:
     return loading.load_task(f"forwarder-{path}", start=start)
+
+
+def _triangle_job(size: str, method: str, cost: str) -> Job:
+    return Job(_triangle_task(size), method, cost, driven=size == "large")  # Tables 2 and 3
+
+
+def _forwarder_job(path: str, start: str, row: printed_values.Entry) -> Job:
+    tracked = start == "smallest"  # Table 4
+    return Job(_forwarder_task(path, start), row.method, row.cost, driven=tracked, switched=tracked)
 
 
 # Tables 2 and 3.
@@ -149,8 +150,7 @@ def _line(experiment: str, row: str, value: float | None, ours: float | None, wh
 
 
 def _table_jobs(rows: tuple[printed_values.Entry, ...]) -> dict[str, Job]:
-    task = _triangle_task("large")
-    return {row.name: Job(task, row.method, row.cost) for row in (*rows, printed_values.AS_WRITTEN)}
+    return {row.name: _triangle_job("large", row.method, row.cost) for row in (*rows, printed_values.AS_WRITTEN)}
 
 
 def _table_lines(name: str, rows: tuple[printed_values.Entry, ...], pump: str, got: Records) -> list[Line]:
@@ -186,7 +186,7 @@ def _broken(record: Record) -> str:
 def _convergence_jobs(cost: str) -> dict[str, Job]:
     task = _triangle_task("large")
     jobs = {f"{p}x{v}": Job(task, COARSE, cost, (p, v)) for p, v in CONVERGENCE}
-    return jobs | {"plan": Job(task, "dp", cost)}
+    return jobs | {"plan": _triangle_job("large", "dp", cost)}
 
 
 def _convergence_lines(name: str, pump: str, got: Records) -> list[Line]:
@@ -210,11 +210,11 @@ def _sizing_jobs() -> dict[str, Job]:
     for size in SIZES:
         task = _triangle_task(size)
         for cost in PUMPS:
-            jobs[f"{size}, {cost}"] = Job(task, "dp", cost)
+            jobs[f"{size}, {cost}"] = _triangle_job(size, "dp", cost)
             for change, cylinder in CHANGES.items():
                 other = replace(task, machine=resized(task.machine, *cylinder))
                 jobs[f"{change}, {size}, {cost}"] = Job(other, "dp", cost)
-        jobs[f"{size}, pointwise"] = Job(task, "sns-actuator", "velocity")
+        jobs[f"{size}, pointwise"] = _triangle_job(size, "sns-actuator", "velocity")
     return jobs
 
 
@@ -257,7 +257,7 @@ def _changes(what: str, pairs: Mapping[str, tuple[Record, Record]], values: Mapp
 
 def _path_jobs(path: str) -> dict[str, Job]:
     return {
-        f"{start}, {row.name}": Job(_forwarder_task(path, start), row.method, row.cost)
+        f"{start}, {row.name}": _forwarder_job(path, start, row)
         for start in STARTS
         for row in printed_values.SOLUTIONS
     }
@@ -291,7 +291,7 @@ def _path_lines(path: str, got: Records) -> list[Line]:
 
 def _tracking_jobs() -> dict[str, Job]:
     return {
-        f"{path}, {row.name}": Job(_forwarder_task(path, "smallest"), row.method, row.cost)
+        f"{path}, {row.name}": _forwarder_job(path, "smallest", row)
         for path in PATHS
         for row in printed_values.SOLUTIONS
     }

@@ -141,7 +141,7 @@ def key(job: Job) -> str:
     """
     sources = fingerprint("study.papers.reproduction")
     task = asdict(job.task)  # all of it: its repr is for people
-    parts = (__version__, sources, task, job.method, job.cost, job.grid, SMOOTH, STEP)
+    parts = (__version__, sources, task, job.method, job.cost, job.grid, job.driven, job.switched, SMOOTH, STEP)
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]
 
 
