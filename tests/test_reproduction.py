@@ -100,7 +100,7 @@ def test_path_errors_stand_beside_table_4(solved, tmp_path):
 
 
 def test_only_what_tables_2_to_4_read_is_simulated():
-    """Variations, other sizes and middle starts were simulated too, which took a third of all time, and nobody read it."""
+    """Variations, other sizes and middle starts were simulated too: a third of all time, and nobody read it."""
     keys = {name: {reproduction.key(job): job for job in one.jobs().values()} for name, one in EXPERIMENTS.items()}
     every = {digest: job for jobs in keys.values() for digest, job in jobs.items()}
     read = keys["table2"] | keys["table3"] | keys["tracking"]

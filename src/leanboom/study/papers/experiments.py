@@ -257,9 +257,7 @@ def _changes(what: str, pairs: Mapping[str, tuple[Record, Record]], values: Mapp
 
 def _path_jobs(path: str) -> dict[str, Job]:
     return {
-        f"{start}, {row.name}": _forwarder_job(path, start, row)
-        for start in STARTS
-        for row in printed_values.SOLUTIONS
+        f"{start}, {row.name}": _forwarder_job(path, start, row) for start in STARTS for row in printed_values.SOLUTIONS
     }
 
 
