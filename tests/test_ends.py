@@ -114,6 +114,9 @@ def test_what_is_left_of_a_closed_cycle_ends_where_it_started():
     rest = lb.replan(CLOSED, 2.0, float(c[0]) + 1e-3, float(w[0]), pump="cp", around=plan.motion)
     assert rest.solved
     assert rest.motion.position[-1] == pytest.approx(plan.motion.position[0], abs=1e-9)
+    best = replace(CLOSED, start="best")  # where it began is where the plan ends
+    again = lb.replan(best, 2.0, float(c[0]) + 1e-3, float(w[0]), pump="cp", around=plan.motion)
+    assert again.motion.position[-1] == pytest.approx(plan.motion.position[0], abs=1e-4)
 
 
 @pytest.mark.slow

@@ -106,6 +106,8 @@ def test_a_payload_changes_at_rest_alone():
     moving = Part(Lines(DOWN, (5.0,)), 0.0, 2.5)
     with pytest.raises(InputError, match=r"legs\[0\].path = .*; must begin and end at rest: the payload changes there"):
         replace(CYCLE, legs=(Leg(payload=0.0, path=moving),))
+    begun = replace(CYCLE, legs=(Leg(payload=0.0, path=Part(Lines(DOWN, (5.0,)), 2.5, 5.0)), CYCLE.legs[1]))
+    assert begun.duration == pytest.approx(2.5 + 2.0 + 6.0)  # what is left of a cycle under way
     with pytest.raises(InputError, match="path = .*; must be left out, since each of the legs has its own"):
         replace(VERTICAL, legs=CYCLE.legs)
 
@@ -286,19 +288,52 @@ def test_the_bound_of_a_cycle_is_the_sum_of_those_of_its_legs_from_and_to_any_ex
         certify(CYCLE, "cp")
 
 
-def test_the_rest_of_a_leg_is_planned_again_to_where_the_next_begins(plan):
-    time = 9.0  # two seconds into the loaded leg
-    c, w, _ = plan.motion.at(np.array([time]))
-    rest = lb.replan(CYCLE, time, float(c[0]) + 1e-3, float(w[0]), pump="cp", around=plan.motion)
-    assert rest.solved and rest.task.payload == 250.0
-    assert rest.since == time and rest.motion.duration == pytest.approx(4.0)
-    assert rest.motion.position[-1] == pytest.approx(plan.motion.position[-1], abs=1e-9)
-    again = lb.replan(CYCLE, 9.5, *(float(each[0]) for each in rest.at(np.array([9.5]))[:2]), pump="cp", around=rest)
-    assert again.solved and again.motion.duration == pytest.approx(3.5)
-    with pytest.raises(InputError, match="time = 6 s; the crane waits until 7 s: plan again once it moves"):
-        lb.replan(CYCLE, 6.0, 0.7, 0.0, around=plan.motion)
-    with pytest.raises(InputError, match="around = nothing; task cycle has legs: hand in its plan's motion"):
-        lb.replan(CYCLE, 1.0, 0.7, 0.0)
+def state(found, time):
+    return tuple(float(each[0]) for each in found.at(np.array([time]))[:2])
+
+
+def test_the_rest_of_a_leg_and_the_legs_to_come_are_planned_again(plan):
+    """Off the plan, or with another load to come: no dearer than the leg led back and the later one as planned."""
+    for cycle, off in ((CYCLE, 0.03), (replace(CYCLE, legs=(CYCLE.legs[0], replace(CYCLE.legs[1], payload=600.0))), 0)):
+        c, w = state(plan.motion, 2.0)
+        rest = lb.replan(cycle, 2.0, c + off, w, pump="cp", around=plan.motion)
+        assert rest.solved and rest.since == 2.0 and rest.motion.duration == pytest.approx(11.0)
+        assert [leg.payload for leg in rest.task.legs] == [leg.payload for leg in cycle.legs]
+        assert rest.motion.position[-1] == pytest.approx(plan.motion.position[0], abs=1e-9)
+        leg, _, last = cycle.stretches
+        here = cycle.stretch(leg, end=state(plan.motion, 5.0)[0])
+        first = motion.between(plan.motion, leg.since, leg.until)
+        alone = lb.replan(here, 2.0, c + off, w, pump="cp", around=first)
+        kept = lb.evaluate(cycle.stretch(last), motion.between(plan.motion, last.since, last.until))
+        assert rest.evaluation.energy_cp <= 1.002 * (alone.evaluation.energy_cp + kept.energy_cp)
+
+
+def test_the_legs_to_come_are_planned_again_from_a_coarse_program(plan):
+    rest = lb.replan(CYCLE, 2.0, *state(plan.motion, 2.0), pump="cp")
+    assert rest.solved and rest.evaluation.energy_cp <= 1.03 * plan.evaluation.spent("cp", 2.0, 13.0)
+
+
+def test_a_cycle_is_planned_again_while_waiting_and_in_its_last_leg(plan):
+    waiting = lb.replan(CYCLE, 6.0, state(plan.motion, 6.0)[0] + 2e-3, 0.0, pump="cp", around=plan.motion)
+    assert waiting.solved and waiting.task.legs[0].dwell == pytest.approx(1.0)
+    assert waiting.motion.duration == pytest.approx(7.0)
+    again = lb.replan(CYCLE, 9.5, *state(waiting, 9.5), pump="cp", around=waiting)
+    assert again.solved and again.task.payload == 250.0 and again.motion.duration == pytest.approx(3.5)
+    for time, velocity, message in (
+        (6.0, 0.01, r"velocity = 0.01 m/s at 6 s; must be 0: the crane waits until 7 s"),
+        (4.995, 0.0, r"time = 4.995 s; must be up to 4.99 s, shortly before the end of leg 1, or from that end at 5 s"),
+    ):
+        with pytest.raises(InputError, match=message):
+            lb.replan(CYCLE, time, 0.7, velocity, around=plan.motion)
+    with pytest.raises(InputError, match="end = same, start = best; where the cycle began is not known: hand in its"):
+        lb.replan(replace(CYCLE, start="best"), 1.0, 0.7, 0.0)
+
+
+def test_where_a_leg_to_come_is_out_of_reach_the_crane_stops_on_the_leg_under_way(plan):
+    far = replace(CYCLE.legs[1], path=Lines((UP[0], (15.0, 0.0, 4.64)), (6.0,)))
+    stop = lb.replan(replace(CYCLE, legs=(CYCLE.legs[0], far)), 2.0, *state(plan.motion, 2.0), pump="cp")
+    assert stop.stopping and stop.since == 2.0 and stop.evaluation.feasible
+    assert "leaves the crane's reach" in stop.status
 
 
 # Time shared among legs

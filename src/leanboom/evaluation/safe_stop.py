@@ -14,7 +14,7 @@ import numpy as np
 
 from leanboom.evaluation import ranking
 from leanboom.evaluation.evaluate import Evaluation, evaluate
-from leanboom.model import motion
+from leanboom.model import legs, motion
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import Kind, Outcome
 from leanboom.model.task import Braking, Part, Task
@@ -54,7 +54,9 @@ class Continuation:
 
 
 def rest(task: Task, since: float) -> Task:
-    """The rest of a task after a time [s], its own time from 0."""
+    """The rest of a task after a time [s], its own time from 0; with legs, of the one under way and those to come."""
+    if task.legs:
+        return replace(task, legs=legs.rest(task.legs, since), start="middle", smooth=None)
     return replace(task, path=Part(task.path, since, task.duration), start="middle", smooth=None)
 
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from leanboom.components.paths import PATHS, Joined, Lines, Path
+from leanboom.components.paths import PATHS, Joined, Lines, Part, Path
 from leanboom.errors import InputError
 from leanboom.quantities import ranges
 from leanboom.quantities.declarations import Variant, hold_declared
@@ -133,6 +133,22 @@ def stretches(legs: Sequence[Leg]) -> tuple[Stretch, ...]:
     return tuple(found)
 
 
+def at(legs: Sequence[Leg], time: float) -> Stretch:
+    """The leg under way at a time [s], or the waiting; where two meet, the later one."""
+    found = stretches(legs)
+    return next((each for each in found if time < each.until), found[-1])
+
+
+def rest(legs: Sequence[Leg], since: float) -> tuple[Leg, ...]:
+    """What is left of legs after a time [s]: of the one under way, or of its waiting, and all to come."""
+    here = at(legs, since)
+    first, later = legs[here.leg], legs[here.leg + 1 :]
+    if here.waits:
+        return replace(first, dwell=here.until - since), *later
+    path = here.path if since <= here.since else Part(here.path, since - here.since, here.path.duration)
+    return replace(first, path=path, dwell=0.0, duration=None), *later
+
+
 def joined(legs: Sequence[Leg]) -> Joined:
     """The path of all legs, waiting included."""
     return Joined(tuple(each.path for each in stretches(legs)))
@@ -160,7 +176,8 @@ def faults(legs: Sequence[Leg | None], total: float | None, time_price: float | 
     """
     found: list[Fault] = []
     for i, leg in enumerate(legs):
-        if leg is not None and np.abs(_ends(leg.path)[1]).max() > AT_REST:
+        # The first leg of what is left of a task is under way.
+        if leg is not None and np.abs(_ends(leg.path)[1][1 if i == 0 else 0 :]).max() > AT_REST:
             found.append((("legs", i, "path"), leg.path, "must begin and end at rest: the payload changes there"))
     for i, (before, leg) in enumerate(pairwise(legs), 1):
         if before is None or leg is None:

@@ -162,6 +162,10 @@ class Task:
         """The legs and the waiting between them, in order; none of a task that has a path."""
         return leg_rules.stretches(self.legs)
 
+    def at(self, time: float) -> Stretch:
+        """The leg under way at a time [s], or the waiting before it, of a task with legs."""
+        return leg_rules.at(self.legs, time)
+
     def stretch(self, part: Stretch, start: float | str = "middle", end: float | str = "free") -> Task:
         """One leg, or the waiting before it, as a task of its own.
 

@@ -135,7 +135,7 @@ def _closing(pins: Pins, start: float) -> Pins:
 
 
 def at_rest(policy: Policy) -> tuple[np.ndarray, np.ndarray]:
-    """Extensions at the first stage of a policy over a full grid [m], and least costs from rest there."""
+    """Extensions at the first stage of a policy [m], and least costs from rest there."""
     nodes = np.linspace(policy.grid.c_lo[0], policy.grid.c_hi[0], policy.grid.positions)
     return nodes, value_function.from_rest(policy)
 
@@ -155,13 +155,19 @@ def _backward(given: Chain, nodes: tuple[int, int], pins: Pins) -> list[Policy |
             after = None if end is not None else terminal
             with named(i):
                 policy, _ = coarse_policy(given.problems[i], nodes, given.cost, shown, end, terminal=after)
-            terminal = _then(given.problems[i - 1], given.cost, *at_rest(policy)) if i else None
+            terminal = then(given.problems[i - 1], given.cost, *at_rest(policy)) if i else None
         policies.insert(0, policy)
     return policies
 
 
-def _then(problem: Problem, cost: str, nodes: np.ndarray, costs: np.ndarray) -> Terminal:
-    """Terminal cost of a leg: that of all after it from where it ends, which is at rest."""
+def then(problem: Problem, cost: str, nodes: np.ndarray, costs: np.ndarray) -> Terminal:
+    """Terminal cost of a leg: that of all after it from where it ends, which is at rest.
+
+    Args:
+        problem: The leg.
+        cost: What is minimised.
+        nodes, costs: Extensions [m], and what all after it costs from there, see `at_rest`.
+    """
     steep = value_function.slopes(problem, cost)[1]
     return lambda position, velocity: np.interp(position, nodes, costs) + steep * np.abs(velocity)
 

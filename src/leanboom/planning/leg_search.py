@@ -73,14 +73,18 @@ def legs(
 
 def whole(task: Task, found: Legs) -> Evaluation:
     """The judged motion of a task with legs made of those of its legs, at rest between them."""
-    first = found[0].motion
-    moved = []
-    for each in task.stretches:
-        leg = found[each.leg].motion
-        held = motion.held(float(leg.position[0]), each.until - each.since, first.method, first.cost)
-        moved.append(held if each.waits else leg)
     log = [f"leg {i}: {line}" for i, leg in enumerate(found, 1) for line in leg.motion.log]
-    return evaluate(task, replace(motion.joined(moved), log=tuple(log)))
+    return evaluate(task, replace(joined(task, [leg.motion for leg in found]), log=tuple(log)))
+
+
+def joined(task: Task, found: Sequence[Motion]) -> Motion:
+    """The motion of a task made of those of its legs, at rest between them; the only one of a task without legs."""
+    first, parts = found[0], []
+    for each in task.stretches:
+        leg = found[each.leg]
+        held = motion.held(float(leg.position[0]), each.until - each.since, first.method, first.cost)
+        parts.append(held if each.waits else leg)
+    return motion.joined(parts) if parts else first
 
 
 def baseline(task: Task, start: float) -> Evaluation | None:

@@ -3,11 +3,14 @@
 The path may have changed: what counts is the task handed in, from the present time on. Around a previous motion one
 tube is swept; tables, sweep and judging together take some tens of milliseconds. Without one, a coarse program over
 all feasible extensions comes first. Nothing is polished. The search over tubes also serves `horizon`.
+
+With legs it is one dynamic program over all that are left: what the legs to come cost from rest at an extension is the
+terminal cost of the leg before, so where they meet moves as well.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,10 +20,12 @@ from leanboom.dynamic_programming import grids, value_function
 from leanboom.errors import InfeasibleError, InputError
 from leanboom.evaluation import ranking, safe_stop
 from leanboom.evaluation.evaluate import Evaluation, evaluate, judged_cost
+from leanboom.evaluation.limit_checks import REST_TOLERANCE
 from leanboom.evaluation.safe_stop import Continuation
 from leanboom.model import motion
 from leanboom.model.motion import Motion
-from leanboom.model.task import Task
+from leanboom.model.task import Stretch, Task
+from leanboom.planning import junctions, leg_search
 from leanboom.problem import feasible_strokes, stages, starts
 from leanboom.problem.stages import Problem
 from leanboom.quantities.ranges import Range, noted, one_of
@@ -66,10 +71,7 @@ class Search:
 
     def tube(self, around: Motion, half: float) -> Evaluation:
         """The same on a tube around a motion, `half` as wide as the first one."""
-        low, high = feasible_strokes.stroke_range(self.problem.task)
-        limit = self.problem.crane.machine.redundant.velocity_limit
-        widths = half * WIDTH * (high - low), half * SPREAD * limit
-        return self.solve(grids.tube_grid(self.problem, around.position, around.velocity, *widths, *self.nodes))
+        return self.solve(tube(self.problem, around, half, self.nodes))
 
     def refine(self, chain: Evaluation, halves: Iterable[float]) -> Evaluation:
         """The best motion of narrower and narrower tubes around a chain of better and better ones."""
@@ -78,6 +80,14 @@ class Search:
             if self.score(found) < self.score(chain):
                 chain = found
         return chain
+
+
+def tube(problem: Problem, around: Motion, half: float, nodes: tuple[int, int]) -> grids.Grid:
+    """The grid of a tube around a motion on a problem's stages, `half` as wide as the first one."""
+    low, high = feasible_strokes.stroke_range(problem.task)
+    limit = problem.crane.machine.redundant.velocity_limit
+    widths = half * WIDTH * (high - low), half * SPREAD * limit
+    return grids.tube_grid(problem, around.position, around.velocity, *widths, *nodes)
 
 
 def replan(
@@ -94,50 +104,141 @@ def replan(
     """Plan the rest of a task from any state on the way.
 
     Args:
-        task: The task as it is now; its path may differ from the one planned before.
+        task: The task as it is now; its path may differ from the one planned before, with legs that of any leg.
         time: Time on the path [s], from 0 to before its end.
         position, velocity: Actual state of the redundant cylinder [m], [m/s].
         pump: "ls" or "cp", or another name of `costs.COSTS`: what to minimise.
         around: A motion on the task's clock to search around, for instance the previous plan: much quicker. Leave it
-            out where the path has changed by more than the tube is wide, a few centimetres of extension. With legs it
-            must be given: it says where each leg ends.
+            out where a path has changed by more than the tube is wide, a few centimetres of extension.
         grid: Position and velocity nodes of the coarse grid that is used without `around`.
         step: Length of a stage [s].
 
     Returns:
         The best motion found; following `around` is among the candidates. Where none keeps every limit, the safest
-        stop; its status says so. With legs, the rest of the leg under way, to where `around` ends it: later legs stay.
+        stop; its status says so. With legs, all that is left of them, the extensions between them moved as well.
 
     Raises:
         InputError: For a time that is not on the path, a state off the feasible extensions, or other bad arguments.
     """
-    if task.legs:
-        return _in_leg(task, time, position, velocity, pump, around, grid, step)
     grid, step = _check(task, time, position, velocity, pump, grid, step, around)
     try:
-        rest = safe_stop.rest(starts.settled(task, step), time)
-        problem = stages.discretise(rest, min(step, 0.5 * rest.duration))
-        _check_position(problem, time, position)
-        search = Search(problem, pump, position, velocity)
+        rest = safe_stop.rest(_settled(task, around, step), time)
+        left = _left(rest, step)
+        _check_position(left[0].problem, time, position)
         if around is None:
-            seed = _coarse(rest, search, min(COARSE * step, 0.5 * rest.duration), grid)
+            seed = _coarse(left, _left(rest, COARSE * step), pump, position, velocity, grid)
         else:
-            seed = track(search, around, time)
+            seed = _followed(left, around, time, pump, position, velocity)
     except InfeasibleError as error:  # the path leads where the tool cannot go
-        return safe_stop.safest_stop(task, time, position, velocity, str(error))
-    best = search.tube(seed, 1.0)
+        return _stop(task, time, position, velocity, str(error))
+    tubes = [tube(part.problem, near, 1.0, TUBE) for part, near in zip(left, seed, strict=True)]
+    best = evaluate(rest, leg_search.joined(rest, _swept(left, tubes, pump, position, velocity)))
     if around is not None or not best.feasible:
-        best = min(best, evaluate(rest, seed), key=search.score)
+        other = evaluate(rest, leg_search.joined(rest, seed))
+        best = min(best, other, key=lambda judged: ranking.rank(judged, judged_cost(judged, pump)))
     if not best.feasible:
-        return safe_stop.safest_stop(task, time, position, velocity, best.status)
-    return Continuation(problem.task, time, best.motion, best, stopping=False)
+        return _stop(task, time, position, velocity, best.status)
+    return Continuation(rest, time, best.motion, best, stopping=False)
 
 
-def _coarse(rest: Task, search: Search, step: float, grid: tuple[int, int]) -> Motion:
-    """The motion of a coarse program over all feasible extensions, on the stages of the search."""
-    problem = stages.discretise(rest, step)
-    policy = value_function.solve(problem, grids.full_grid(problem, *grid), search.cost, end=search.end)
-    return stages.on_stages(search.problem, value_function.rollout(policy, search.position, velocity=search.velocity))
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """A leg that is left, or the one path, to be planned."""
+
+    problem: Problem
+    since: float  # when it begins on the clock of what is left [s]
+
+
+def _left(rest: Task, step: float) -> list[_Part]:
+    """The legs of what is left of a task, or its one path, on stages of about `step` [s]."""
+    if not rest.legs:
+        return [_Part(stages.discretise(rest, min(step, 0.5 * rest.duration)), 0.0)]
+    legs = [each for each in rest.stretches if not each.waits]
+    tasks = [rest.stretch(each, end=rest.end if each is legs[-1] else "free") for each in legs]
+    return [
+        _Part(stages.discretise(task, min(step, 0.5 * task.duration)), each.since)
+        for task, each in zip(tasks, legs, strict=True)
+    ]
+
+
+def _swept(
+    left: Sequence[_Part], over: Sequence[grids.Grid], cost: str, position: float, velocity: float
+) -> list[Motion]:
+    """Motions of one dynamic program over all that is left, on a grid for each leg, from a state [m], [m/s]."""
+    policies: list[value_function.Policy] = []
+    terminal = None
+    for i in reversed(range(len(left))):
+        problem = left[i].problem
+        policy = value_function.solve(problem, over[i], cost, terminal, starts.end_position(problem, None))
+        policies.insert(0, policy)
+        if i:
+            terminal = junctions.then(left[i - 1].problem, cost, *junctions.at_rest(policy))
+    found: list[Motion] = []
+    for policy in policies:
+        found.append(value_function.rollout(policy, position, velocity=velocity))
+        position, velocity = float(found[-1].position[-1]), 0.0
+    return found
+
+
+def _coarse(
+    left: Sequence[_Part], coarser: Sequence[_Part], cost: str, position: float, velocity: float, nodes: tuple[int, int]
+) -> list[Motion]:
+    """Motions of a coarse program over all feasible extensions, on longer stages, as motions on the stages."""
+    over = [grids.full_grid(part.problem, *nodes) for part in coarser]
+    found = [
+        stages.on_stages(part.problem, moved)
+        for part, moved in zip(left, _swept(coarser, over, cost, position, velocity), strict=True)
+    ]
+    for i in range(1, len(found)):  # velocities between other stages lead a little elsewhere
+        moved = found[i]
+        ahead = motion.from_velocities(
+            moved.step, float(found[i - 1].position[-1]), moved.velocity, moved.method, moved.cost
+        )
+        end = starts.end_position(left[i].problem, None)
+        found[i] = ahead if end is None else motion.ending_at(ahead, end)
+    return found
+
+
+def _followed(
+    left: Sequence[_Part], around: Motion | Continuation, time: float, cost: str, position: float, velocity: float
+) -> list[Motion]:
+    """Motions that join a given one on the whole task's clock."""
+    found: list[Motion] = []
+    for part in left:
+        found.append(track(Search(part.problem, cost, position, velocity), around, time + part.since))
+        position, velocity = float(found[-1].position[-1]), 0.0
+    return found
+
+
+def _stop(task: Task, time: float, position: float, velocity: float, why: str) -> Continuation:
+    """The safest stop from a state, on the path of the leg under way; arguments as in `safe_stop.safest_stop`."""
+    if not task.legs:
+        return safe_stop.safest_stop(task, time, position, velocity, why)
+    here = task.at(time)
+    found = safe_stop.safest_stop(task.stretch(here), time - here.since, position, velocity, why)
+    return replace(found, since=time)
+
+
+def _settled(task: Task, around: Motion | Continuation | None, step: float) -> Task:
+    """The task with its end as a length, or free; arguments as in `replan`."""
+    if not isinstance(task.end, str) or task.end == "free":
+        return task
+    first = last = task
+    if task.legs:
+        moving = [each for each in task.stretches if not each.waits]
+        first, last = task.stretch(moving[0], task.start), task.stretch(moving[-1])
+    end = task.end
+    if end == "same" and task.start == "best":
+        if around is None or (isinstance(around, Continuation) and around.stopping):
+            raise InputError(
+                "end = same, start = best; where the cycle began is not known: hand in its plan's motion as around, or "
+                "that length as the start"
+            )
+        end = float(around.at(np.array([task.duration]))[0][0])
+    elif end == "same":
+        end = starts.start_position(stages.discretise(first, step), task.start)
+    assert end is not None
+    return replace(task, end=starts.end_position(stages.discretise(replace(last, end=end), step), None))
 
 
 def track(search: Search, around: Motion | Continuation, since: float) -> Motion:
@@ -164,43 +265,30 @@ def track(search: Search, around: Motion | Continuation, since: float) -> Motion
     return tracked if search.end is None else motion.ending_at(tracked, search.end)
 
 
-def _in_leg(
-    task: Task, time: float, position: float, velocity: float, pump: str, around: Motion | Continuation | None,
-    grid: tuple[int, int], step: float,
-) -> Continuation:  # fmt: skip
-    """The rest of the leg under way, ending where a motion of the whole task ends it; arguments as in `replan`."""
-    if around is None:
-        raise InputError(
-            f"around = nothing; task {task.name} has legs: hand in its plan's motion, which says where they end"
-        )
-    under_way = [each for each in task.stretches if each.since <= time < each.until]
-    if not under_way:
-        raise InputError(f"time = {time:g} s; must be from 0 s to before the end of the task at {task.duration:g} s")
-    leg = under_way[0]
-    if leg.waits:
-        raise InputError(f"time = {time:g} s; the crane waits until {leg.until:g} s: plan again once it moves")
-    end = float(around.at(np.array([leg.until]))[0][0])
-    if isinstance(around, Motion):
-        known: Motion | Continuation = motion.between(around, leg.since, leg.until)
-    else:
-        known = replace(around, since=around.since - leg.since)
-    alone = task.stretch(leg, end=end)
-    found = replan(alone, time - leg.since, position, velocity, pump=pump, around=known, grid=grid, step=step)
-    return replace(found, since=time)
-
-
 def _check(task, time, position, velocity, pump, grid, step, around) -> tuple[tuple[int, int], float]:
     """Grid and step as they are used; InputError for arguments that cannot be, all problems at once."""
     problems = []
     if not 0.0 <= time <= task.duration - SHORTEST:
         latest = task.duration - SHORTEST
         problems.append(f"time = {time:g} s; must be from 0 s to {latest:g} s, shortly before the end of the path")
+    elif task.legs:
+        problems += _between_legs(task.at(time), time, velocity)
     if not (np.isfinite(position) and np.isfinite(velocity)):
         problems.append(f"state = {position:g} m, {velocity:g} m/s; must be finite")
     noted(problems, one_of, "pump", pump, COSTS)
     if around is not None:
         _check_length(task, around, problems)
     return value_function.sizes(grid, step, STEPS, problems)
+
+
+def _between_legs(here: Stretch, time: float, velocity: float) -> list[str]:
+    """What is wrong with a time shortly before the end of a leg, or with a velocity while the crane waits."""
+    if here.waits and abs(velocity) > REST_TOLERANCE:
+        return [f"velocity = {velocity:g} m/s at {time:g} s; must be 0: the crane waits until {here.until:g} s"]
+    if not here.waits and time > here.until - SHORTEST:
+        until = f"{here.until - SHORTEST:g} s, shortly before the end of leg {here.leg + 1}"
+        return [f"time = {time:g} s; must be up to {until}, or from that end at {here.until:g} s on"]
+    return []
 
 
 def _check_length(task: Task, around: Motion | Continuation, problems: list[str]) -> None:
