@@ -333,7 +333,7 @@ def test_where_a_leg_to_come_is_out_of_reach_the_crane_stops_on_the_leg_under_wa
     far = replace(CYCLE.legs[1], path=Lines((UP[0], (15.0, 0.0, 4.64)), (6.0,)))
     stop = lb.replan(replace(CYCLE, legs=(CYCLE.legs[0], far)), 2.0, *state(plan.motion, 2.0), pump="cp")
     assert stop.stopping and stop.since == 2.0 and stop.evaluation.feasible
-    assert "leaves the crane's reach" in stop.status
+    assert stop.status.startswith("no feasible motion: leg 2: the path leaves the crane's reach at 2.")
 
 
 # Time shared among legs

@@ -11,6 +11,7 @@ terminal cost of the leg before, so where they meet moves as well.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -123,10 +124,11 @@ def replan(
     grid, step = _check(task, time, position, velocity, pump, grid, step, around)
     try:
         rest = safe_stop.rest(_settled(task, around, step), time)
-        left = _left(rest, step)
+        before = len(task.legs) - len(rest.legs)
+        left = _left(rest, step, before)
         _check_position(left[0].problem, time, position)
         if around is None:
-            seed = _coarse(left, _left(rest, COARSE * step), pump, position, velocity, grid)
+            seed = _coarse(left, _left(rest, COARSE * step, before), pump, position, velocity, grid)
         else:
             seed = _followed(left, around, time, pump, position, velocity)
     except InfeasibleError as error:  # the path leads where the tool cannot go
@@ -149,16 +151,16 @@ class _Part:
     since: float  # when it begins on the clock of what is left [s]
 
 
-def _left(rest: Task, step: float) -> list[_Part]:
-    """The legs of what is left of a task, or its one path, on stages of about `step` [s]."""
+def _left(rest: Task, step: float, before: int) -> list[_Part]:
+    """The legs of what is left of a task, a number of them gone, or its one path, on stages of about `step` [s]."""
     if not rest.legs:
         return [_Part(stages.discretise(rest, min(step, 0.5 * rest.duration)), 0.0)]
-    legs = [each for each in rest.stretches if not each.waits]
-    tasks = [rest.stretch(each, end=rest.end if each is legs[-1] else "free") for each in legs]
-    return [
-        _Part(stages.discretise(task, min(step, 0.5 * task.duration)), each.since)
-        for task, each in zip(tasks, legs, strict=True)
-    ]
+    legs, found = [each for each in rest.stretches if not each.waits], []
+    for each in legs:
+        task = rest.stretch(each, end=rest.end if each is legs[-1] else "free")
+        with junctions.named(before + each.leg):
+            found.append(_Part(stages.discretise(task, min(step, 0.5 * task.duration)), each.since))
+    return found
 
 
 def _swept(
@@ -238,7 +240,8 @@ def _settled(task: Task, around: Motion | Continuation | None, step: float) -> T
     elif end == "same":
         end = starts.start_position(stages.discretise(first, step), task.start)
     assert end is not None
-    return replace(task, end=starts.end_position(stages.discretise(replace(last, end=end), step), None))
+    with junctions.named(len(task.legs) - 1) if task.legs else nullcontext():
+        return replace(task, end=starts.end_position(stages.discretise(replace(last, end=end), step), None))
 
 
 def track(search: Search, around: Motion | Continuation, since: float) -> Motion:
