@@ -15,7 +15,7 @@ from command_line import leanboom
 from leanboom.certificate import certificate
 from leanboom.certificate.certificate import Certificate, certify
 from leanboom.components.pumps import EfficiencyMap
-from leanboom.errors import InputError
+from leanboom.errors import InputError, LeanboomError
 from leanboom.io.loading import dump_task
 from leanboom.methods.dp_refined import Search
 from leanboom.methods.registry import EFFORTS
@@ -24,7 +24,7 @@ from leanboom.model.task import Leg, Lines, Part
 from leanboom.planning import cycles, junctions, planner, summaries, time_sharing
 from leanboom.problem import stages
 from leanboom.report import run_folder
-from leanboom.study.pareto import pareto
+from leanboom.study import comparison, pareto, processes
 
 DOWN, UP = ([5.5, 0.0, 4.64], [5.5, 0.0, 1.60]), ([5.5, 0.0, 1.60], [5.5, 0.0, 4.64])
 VERTICAL = lb.load_task("forwarder-vertical", start="middle")
@@ -240,17 +240,77 @@ def test_commands_show_and_plan_a_cycle(tmp_path):
     assert "The crane waits 2 s, and no oil flows" in made.stdout
 
 
-@pytest.mark.parametrize(
-    "use",
-    [
-        lambda task, moved: lb.plan_receding(task),
-        lambda task, moved: lb.compare(task),
-        lambda task, moved: pareto(task),
-    ],
-)
-def test_what_takes_single_paths_says_so(use):
-    with pytest.raises(InputError, match="task cycle has 2 legs; .* takes a task with one path and one payload: make"):
-        use(CYCLE, held(CYCLE, (0.7, 0.7, 0.7)))
+def test_a_receding_horizon_says_why_it_takes_no_cycle():
+    text = "task cycle has 2 legs; a receding horizon, which knows no leg to come, takes a task with one path and one"
+    with pytest.raises(InputError, match=text):
+        lb.plan_receding(CYCLE)
+
+
+# Studies
+
+
+def test_methods_are_compared_on_a_cycle_and_those_that_cannot_plan_it_say_so(monkeypatch):
+    def each(function, arguments, workers=None, done=None):
+        found = []
+        for argument in arguments:
+            try:
+                found.append(processes.CallResult(function(argument)))
+            except LeanboomError as error:
+                found.append(processes.CallResult(failure=str(error), refused=True))
+        return found
+
+    monkeypatch.setattr(comparison.processes, "each", each)
+    run = planner.run
+    monkeypatch.setattr(planner, "run", lambda task, **given: run(task, **given, **QUICK))
+    methods = ["sns-actuator", "pseudospectral:cp"]
+    free = lb.compare(replace(CYCLE, end="free"), "cp", methods=methods[:1]).rows[0]
+    assert free.solved and [leg["payload_kg"] for leg in free.summary["legs"]] == [0.0, 250.0]
+    fast = replace(CYCLE, start="best", legs=(CYCLE.legs[0], replace(CYCLE.legs[1], duration="shortest")))
+    for row in lb.compare(fast, "cp", methods=methods).rows:
+        assert row.motion is None and row.summary["start_m"] is None
+        assert row.status == (
+            f"end = same; method {row.entry.method} cannot lead the motion to an end: use dp or polish; start = best; "
+            f"method {row.entry.method} needs smallest, middle or a length; legs[1].duration = shortest; method "
+            f"{row.entry.method} keeps the timing of the path: use dp"
+        )
+
+
+def test_a_cycle_lasts_as_long_as_is_asked_for():
+    """Legs are scaled alike, waiting and fastest legs stay; where legs have ranges they share the total."""
+    kept = pareto.Kept(CYCLE, 2.0, {})
+    assert [leg.timed.duration for leg in kept.lasting(13.0).legs] == pytest.approx([5.0, 6.0])
+    assert [leg.timed.duration for leg in kept.lasting(24.0).legs] == pytest.approx([10.0, 12.0])
+    fast = replace(CYCLE, legs=(CYCLE.legs[0], replace(CYCLE.legs[1], duration="shortest")))
+    longer = pareto.Kept(fast, 2.0, {1: 3.5}).lasting(15.5)
+    assert [leg.duration for leg in longer.legs] == [pytest.approx(10.0), "shortest"]
+    with pytest.raises(InputError, match="duration = 5 s; must be above 5.5 s, what fastest legs and waiting take"):
+        pareto.Kept(fast, 2.0, {1: 3.5}).lasting(5.0)
+    ranged = replace(CYCLE, legs=(replace(CYCLE.legs[0], duration=(4.0, 8.0)), CYCLE.legs[1]), time_price=50.0)
+    kept = pareto.Kept(ranged, 2.0, {})
+    assert (kept.lasting(14.0).total, kept.lasting(14.0).time_price) == (14.0, None)
+    assert pareto.usual_durations(ranged, kept=kept)[:: pareto.COUNT - 1] == pytest.approx([12.0, 16.0])
+    with pytest.raises(InputError, match="duration = 17 s; must be from 12 s to 16 s, what the legs and waiting make"):
+        kept.lasting(17.0)
+    every = replace(CYCLE, legs=tuple(replace(leg, duration="shortest") for leg in CYCLE.legs))
+    with pytest.raises(InputError, match="legs; at least one must have a duration other than shortest"):
+        pareto.pareto(every)
+
+
+def test_a_cycles_motion_is_made_slower_leg_by_leg(plan):
+    point = pareto.Point(CYCLE, 13.0, "cp", plan, plan.status)
+    longer = pareto.Kept(CYCLE, 2.0, {}).lasting(24.0)
+    (seed,) = pareto._motions(point, longer)
+    for time, before in ((5.0, 2.5), (11.0, 6.0), (18.0, 10.0), (24.0, 13.0)):
+        assert state(seed, time)[0] == pytest.approx(state(plan.motion, before)[0], abs=1e-9)
+    assert lb.evaluate(longer, seed).feasible
+
+
+@pytest.mark.slow
+def test_energy_over_the_duration_of_a_cycle(plan):
+    found = pareto.pareto(CYCLE, "cp", durations=[24.0, 13.0], **QUICK)
+    assert [point.json()["duration_s"] for point in found.points] == [13.0, 24.0]
+    assert all(point.solved and point.energy < point.baseline for point in found.points)
+    assert found.points[0].energy <= plan.evaluation.energy_cp * (1.0 + 1e-6)
 
 
 def test_a_motion_alone_holds_no_timing_of_legs():

@@ -246,11 +246,11 @@ def pareto(console: Console, result: Pareto, out: Path | None) -> None:
             mine, theirs = point.energy, point.baseline
             saving = "-" if not point.solved or mine is None or not theirs else f"{100.0 * (1.0 - mine / theirs):.1f} %"
             cells = ["-" if energy is None else f"{energy / 1e3:.2f}" for energy in (mine, theirs)]
-            add_row(table, f"{point.task.duration:g}", *cells, saving)
+            add_row(table, f"{point.duration:g}", *cells, saving)
         show(console, table)
         for point in result.curve(pump):
             if not point.solved:
-                say(console, f"{point.task.duration:g} s: {shortened(point.status, 300)}.", "yellow")
+                say(console, f"{point.duration:g} s: {shortened(point.status, 300)}.", "yellow")
         console.print()
     if out is not None:
         say(console, f"{'Figure and table':<22}{shortened(str(out), 400)}")

@@ -87,8 +87,8 @@ def pareto(
         str | None,
         typer.Option(
             metavar="TIMES",
-            help="Durations of the path, such as 6,8,10. By default eight, from the shortest feasible one found to 2.5 "
-            "times the task's.",
+            help="Durations of the path, or of a whole cycle, such as 6,8,10. By default eight, from the shortest "
+            "feasible one found to 2.5 times the task's.",
         ),
     ] = None,
     pump: Annotated[str, typer.Option(metavar="NAMES", help="Whose energy counts: ls, cp or ls,cp.")] = "ls",

@@ -37,12 +37,9 @@ def plan(task: Task, cost: str, method: Method, tell: Progress, settings: Settin
         InputError: Starts, ends and a total that are not feasible.
         InfeasibleError: The tool cannot follow a leg, whatever the extension.
     """
-    fast: dict[int, Evaluation] = {}
-    for i, leg in enumerate(task.legs):
-        if leg.duration == "shortest":
-            with junctions.named(i):
-                fast[i] = shortest.plan(_alone(task, i, fast), cost, tell)
-            task = _retimed(task, i, fast[i])
+    fast = fastest(task, cost, tell)
+    for i, leg in fast.items():
+        task = _retimed(task, i, leg)
     task = time_sharing.share(task, cost, method, tell, settings, fast)
     found = leg_search.legs(task, cost, method, tell, settings, fast)
     for i, leg in enumerate(task.legs):
@@ -53,6 +50,16 @@ def plan(task: Task, cost: str, method: Method, tell: Progress, settings: Settin
         if leg.timing == "free":
             task = _retimed(task, i, found[i])
     return leg_search.whole(task, found)
+
+
+def fastest(task: Task, cost: str, tell: Progress) -> dict[int, Evaluation]:
+    """The judged motions of the legs whose duration is `shortest`, by their numbers from 0; arguments as in `plan`."""
+    found: dict[int, Evaluation] = {}
+    for i, leg in enumerate(task.legs):
+        if leg.duration == "shortest":
+            with junctions.named(i):
+                found[i] = shortest.plan(_alone(task, i, found), cost, tell)
+    return found
 
 
 def _alone(task: Task, i: int, fast: dict[int, Evaluation]) -> Task:

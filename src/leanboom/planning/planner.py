@@ -204,7 +204,7 @@ def run(
         best = cycles.plan(task, cost, chosen, tell, settings, freed)
         task = best.task
     else:
-        best = _single(task, cost, method, chosen, tell, settings)
+        best = _single(task, cost, chosen, tell, settings)
     certified = proof.of(best.motion)
     solve_s = time.perf_counter() - began
     if best.feasible or not (chosen.exhaustive and explain):
@@ -223,9 +223,9 @@ def run(
     return found
 
 
-def _single(task: Task, cost: str, name: str, method: Method, tell: Progress, settings: Settings) -> Evaluation:
-    """The judged motion of a task without legs by a method of a name; arguments as in `methods.registry`."""
-    start = None if method.free_start else _start(task, name, settings.step)
+def _single(task: Task, cost: str, method: Method, tell: Progress, settings: Settings) -> Evaluation:
+    """The judged motion of a task without legs by a method; arguments as in `methods.registry`."""
+    start = None if method.free_start else starts.start_position(stages.discretise(task, settings.step), task.start)
     minimised = method.costs[0] if method.pointwise and method.costs else cost
     if task.start == "best" and task.end == "same":
         cycle = closed_cycle.best_cycle(task, cost, settings.grid, settings.step, tell).motion
@@ -334,13 +334,16 @@ def _check(
         problems.append(f"end = {task.end}; method {method} cannot lead the motion to an end: use {able}")
     if chosen is not None and task.limits.pump_flow and not chosen.flow:
         problems.append(f"limits.pump_flow = yes; method {method} knows no limit of the pump's flow: use dp or polish")
-    if chosen is not None and task.timing != "fixed" and not chosen.timing:
-        able = " or ".join(name for name in METHODS.names() if METHODS.find(name).timing)
-        problems.append(f"timing = {task.timing}; method {method} keeps the timing of the path: use {able}")
-    if task.timing == "free" and cost in COSTS and cost not in PUMPS:
-        problems.append(
-            f"timing = free; a timing is planned for the energy of a pump, {' or '.join(PUMPS)}, not {cost}"
-        )
+    if chosen is not None and task.start == "best" and not chosen.free_start:
+        problems.append(f"start = best; method {method} needs smallest, middle or a length")
+    for key, word in _planned_timings(task):
+        if chosen is not None and not chosen.timing:
+            able = " or ".join(name for name in METHODS.names() if METHODS.find(name).timing)
+            problems.append(f"{key} = {word}; method {method} keeps the timing of the path: use {able}")
+        if word == "free" and cost in COSTS and cost not in PUMPS:
+            problems.append(
+                f"{key} = free; a timing is planned for the energy of a pump, {' or '.join(PUMPS)}, not {cost}"
+            )
     nodes, length = value_function.sizes(grid, step, STAGE, problems)
     check_measurable(task, MOTIONS_AT_A_TIME)
     value_function.check_memory(stages.count(task.duration, length), *nodes)
@@ -349,12 +352,15 @@ def _check(
     return chosen, nodes, length
 
 
-def _start(task: Task, method: str, step: float) -> float:
-    """Where the redundant cylinder starts [m]; InputError where the task leaves that to a method that cannot say."""
-    start = starts.start_position(stages.discretise(task, step), task.start)
-    if start is None:
-        raise InputError(f"start = best; method {method} needs smallest, middle or a length")
-    return start
+def _planned_timings(task: Task) -> list[tuple[str, str]]:
+    """Keys of a task, and their words, that leave the speed along a path to be planned."""
+    found = [] if task.timing == "fixed" else [("timing", task.timing)]
+    for i, leg in enumerate(task.legs):
+        if isinstance(leg.duration, str):
+            found.append((f"legs[{i}].duration", leg.duration))
+        elif leg.timing != "fixed":
+            found.append((f"legs[{i}].timing", leg.timing))
+    return found
 
 
 def _explain(found: Evaluation, cost: str, grid: tuple[int, int], step: float, tell: Progress) -> str:

@@ -133,7 +133,7 @@ def plan_receding(
         InputError: For arguments that cannot be used, such as a horizon shorter than a stage.
         InfeasibleError: If `check` and the motion breaks a limit, with the judged motion as its `evaluation`.
     """
-    take_single(task, "a receding horizon")
+    take_single(task, "a receding horizon, which knows no leg to come,")
     grid, step = _check(task, pump, horizon, every, grid, step)
     value_function.prepare()
     began = time.perf_counter()

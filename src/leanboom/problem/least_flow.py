@@ -38,17 +38,32 @@ def least_flow(problem: Problem) -> np.ndarray:
 def excess(task: Task, step: float) -> str:
     """What a path asks of the pump beyond a limit of its flow, whatever the extension does; empty where it may do.
 
+    Of a timing that is still to be planned nothing is known.
+
     Args:
-        task: The task.
+        task: The task, or a whole cycle.
         step: Length of a stage [s].
     """
-    what = base_fault(task.machine, task.path) if task.limits.pump_flow else ""
-    if task.limits.pump_flow and not what:
+    if not task.limits.pump_flow:
+        return ""
+    if not task.legs:
+        what = _excess(task, step) if task.timing == "fixed" else ""
+        return f"limits.pump_flow = yes; {what}" if what else ""
+    for each in task.stretches:
+        if not each.waits and task.legs[each.leg].settled and (what := _excess(task.stretch(each), step)):
+            return f"limits.pump_flow = yes; {what} (leg {each.leg + 1})"
+    return ""
+
+
+def _excess(task: Task, step: float) -> str:
+    """The same of a task whose one path has its timing."""
+    what = base_fault(task.machine, task.path)
+    if not what:
         problem = stages.discretise(task, step)
         flow = least_flow(problem)
         if flow.max() > COARSE * task.flow_limit:
             what = fault(task, "the path, at the best extension,", problem.time, flow)
-    return f"limits.pump_flow = yes; {what}" if what else ""
+    return what
 
 
 def check(task: Task, step: float) -> None:

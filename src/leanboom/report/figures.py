@@ -62,7 +62,7 @@ def trajectories(comparison: Comparison) -> bytes:
         curves, labels = {}, _labels(comparison, start)
         for row in comparison.block(comparison.pumps[0], start):
             if row.motion is not None:
-                time = np.linspace(0.0, comparison.task.duration, POINTS)
+                time = np.linspace(0.0, row.motion.duration, POINTS)
                 curves[labels[row.label]] = time, row.motion.at(time)[0], row is best
         _curves(panel, curves)
         panel.set_title(f"{comparison.task.name}, start: {_start(start)}", fontsize=10, loc="left")
@@ -80,7 +80,7 @@ def durations(result: Pareto) -> bytes:
         name, colour = PUMPS[pump]
         for method, style in (("least energy", "o-"), ("pseudo-inverse", "s--")):
             pairs = [
-                (point.task.duration, 1e-3 * energy)
+                (point.duration, 1e-3 * energy)
                 for point in result.curve(pump)
                 if (energy := point.energy if method == "least energy" else point.baseline) is not None
             ]

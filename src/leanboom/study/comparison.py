@@ -21,7 +21,7 @@ from leanboom.evaluation.evaluate import check_measurable
 from leanboom.methods.registry import METHODS, STEP, Method
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import Kind, Outcome
-from leanboom.model.task import Start, Task, take_single
+from leanboom.model.task import Start, Task
 from leanboom.planning import planner, summaries
 from leanboom.planning.planner import Plan
 from leanboom.problem import least_flow, stages, starts
@@ -208,7 +208,6 @@ def compare(
         InputError: For arguments or tasks that cannot be used.
         InfeasibleError: If the tool cannot follow the path, whatever the extension.
     """
-    take_single(task, "a comparison")
     pumps = tuple(dict.fromkeys((pump,) if isinstance(pump, str) else pump))
     if not pumps or any(name not in PUMPS for name in pumps):
         raise InputError(f"pump = {', '.join(pumps) or 'nothing'}; must be some of {', '.join(PUMPS)}")
@@ -266,7 +265,7 @@ def solve(asked: tuple[Task, Entry, tuple[str, ...], bool]) -> tuple[dict[str, d
     for pump in pumps:
         found[pump] = {**summaries.summary(replace(plan, pump=pump)), "cost": entry.cost}
         if simulate:
-            found[pump] |= _simulated(task, plan.motion, pump)
+            found[pump] |= _simulated(plan.task, plan.motion, pump)
     return found, plan.motion
 
 
@@ -319,7 +318,9 @@ def _simulated(task: Task, motion: Motion, pump: str) -> dict[str, float | None]
 
 def _start_position(task: Task) -> float | None:
     """Where the redundant cylinder starts [m]; None where that is left to the method."""
-    return starts.start_position(stages.discretise(task, STEP), task.start)
+    legs = [each for each in task.stretches if not each.waits]
+    first = task.stretch(legs[0], task.start) if legs else replace(task, timing="fixed")
+    return starts.start_position(stages.discretise(first, STEP), task.start)
 
 
 def _failed(task: Task, entry: Entry, pump: str, start: float | None, reason: str, simulate: bool) -> Row:
