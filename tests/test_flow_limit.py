@@ -15,8 +15,8 @@ from leanboom.io.loading import dump_machine, dump_task, load_machine, load_task
 from leanboom.methods import pseudo_inverse
 from leanboom.model import crane as cranes
 from leanboom.model.motion import from_velocities
-from leanboom.model.pump_flow import pump_flow
-from leanboom.model.task import Limits, Lines, Task, sample
+from leanboom.model.pump_flow import base_flow, pump_flow
+from leanboom.model.task import Leg, Limits, Lines, Task, sample
 from leanboom.planning import planner, summaries
 from leanboom.planning.receding_horizon import plan_receding
 from leanboom.planning.replanning import replan
@@ -181,6 +181,19 @@ def test_other_methods_are_judged_by_the_limit_or_refuse_it():
 
 
 # Bad input
+
+
+def test_a_timing_to_be_planned_is_not_refused_beforehand_and_a_leg_is_named():
+    """What a path asks for by its own timing says nothing of one that is still to be planned."""
+    turn = Task("turn", FORWARDER, slewing(4.0), start="middle")
+    tight = pumped(turn, 0.6 * float(base_flow(FORWARDER, cranes.plane(FORWARDER, sample(turn, np.array([2.0]))))[0]))
+    assert "slewing alone asks for" in least_flow.excess(tight, 0.1)
+    for timing in ("free", "shortest"):
+        assert least_flow.excess(replace(tight, timing=timing), 0.1) == ""
+    legs = Leg(payload=0.0, path=slewing(16.0)), Leg(payload=0.0, path=Lines(slewing(4.0).points[::-1], (4.0,)))
+    cycle = Task("cycle", tight.machine, legs=legs, start="middle", limits=Limits(pump_flow=True))
+    assert least_flow.excess(cycle, 0.1).endswith("(leg 2)")
+    assert least_flow.excess(replace(cycle, legs=(legs[0], replace(legs[1], duration="shortest"))), 0.1) == ""
 
 
 def slewing(duration: float) -> Lines:

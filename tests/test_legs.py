@@ -16,7 +16,7 @@ from leanboom.certificate import certificate
 from leanboom.certificate.certificate import Certificate, certify
 from leanboom.components.pumps import EfficiencyMap
 from leanboom.errors import InputError, LeanboomError
-from leanboom.io.loading import dump_task
+from leanboom.io.loading import dump_machine, dump_task
 from leanboom.methods.dp_refined import Search
 from leanboom.methods.registry import EFFORTS
 from leanboom.model import motion
@@ -229,15 +229,21 @@ def test_an_ordinary_task_is_one_leg(tmp_path):
 
 
 @pytest.mark.slow
-def test_commands_show_and_plan_a_cycle(tmp_path):
-    file = str(written(tmp_path, FILE, "cycle.yaml"))
+def test_commands_show_and_plan_a_cycle_with_its_pump_flow_limited(plan, tmp_path):
+    """The pump has 90 % of what the plan without that limit asks for."""
+    small = replace(CYCLE.machine.pump, max_flow=0.9 * float(plan.evaluation.pump_flow.max()))
+    written(tmp_path, dump_machine(replace(CYCLE.machine, pump=small)), "small.yaml")
+    file = str(written(tmp_path, dump_task(CYCLE, "small.yaml"), "cycle.yaml"))
     shown = leanboom("tasks", file)
     assert "Leg 2 after waiting 2 s" in shown.stdout
     assert json.loads(leanboom("tasks", file, "--json").stdout)["legs"][1]["dwell_s"] == 2.0
     assert leanboom("check", file).exit_code == 0
-    made = leanboom("plan", file, "--pump", "cp", "--effort", "quick", "--grid", "41x21", "--step", "0.2")
-    assert made.exit_code == 0
+    asked = "--pump", "cp", "--effort", "quick", "--grid", "41x21", "--step", "0.2", "--out", str(tmp_path / "run")
+    made = leanboom("plan", file, "--pump-flow-limit", *asked)
+    assert made.exit_code == 0, made.stderr
     assert "The crane waits 2 s, and no oil flows" in made.stdout
+    kept = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert plan.evaluation.energy_cp < kept["energy_j"] and 0.9 < kept["limit_use"]["flow"] <= 1.001
 
 
 def test_a_receding_horizon_says_why_it_takes_no_cycle():

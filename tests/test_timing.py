@@ -11,6 +11,7 @@ import toppra
 from leanboom.errors import InputError
 from leanboom.io.loading import dump_task, load_task
 from leanboom.methods import pseudo_inverse
+from leanboom.methods.least_duration import shortest_duration
 from leanboom.model import crane as cranes
 from leanboom.model.task import Reference, Retimed
 from leanboom.planning import planner
@@ -166,6 +167,12 @@ def test_the_shortest_time_is_never_above_that_of_a_settled_redundancy(fastest):
     base = pseudo_inverse.baseline(VERTICAL, STROKE)
     even = max(base.limit_use.velocity, base.limit_use.acceleration**0.5) * VERTICAL.duration
     assert fastest.task.duration < 0.9 * even
+
+
+def test_the_shortest_time_is_not_above_that_of_the_paths_own_timing_made_faster(fastest):
+    """Of the same search at a redundancy that is free, but a speed along the path that is the own one's shape."""
+    factor = shortest_duration(VERTICAL, (31, 21), 0.3, 0.1, least=1.0 / 8.0)
+    assert factor is not None and fastest.task.duration <= factor * VERTICAL.duration
 
 
 @pytest.mark.slow
