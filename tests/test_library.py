@@ -116,6 +116,17 @@ def test_an_extended_specification_plans_what_is_new_alone(made, tmp_path, threa
     assert _whole(tmp_path / "out", 12)
 
 
+def test_motions_of_a_later_search_take_the_place_of_earlier_ones(made, tmp_path, threads, monkeypatch):
+    engine.build(made, tmp_path / "out", work=hold)
+    monkeypatch.setattr(keys, "METHOD", "another search")
+    again = engine.build(made, tmp_path / "out", work=hold)
+    assert (again.solved, again.reused) == (8, 0)
+    assert _whole(tmp_path / "out")
+    index = sqlite3.connect(tmp_path / "out" / INDEX)
+    assert index.execute("SELECT count(*) FROM velocities").fetchone() == (8,)
+    index.close()
+
+
 def test_keys_of_motions_stay_what_they_were_where_a_task_uses_nothing_new():
     """A library built before tasks could limit the pump's flow keeps its motions."""
     task = loading.load_task("forwarder-vertical")

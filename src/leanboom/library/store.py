@@ -105,6 +105,8 @@ _OWN = (
     "key", "machine", "pump", "payload", "duration", "start", "start_m", "end_m", "solved", "status", "energy_j",
     "pseudo_inverse_j", "solve_s", "segment", "row",
 )  # fmt: skip
+_ASKED = ("way", "pump", "payload", "duration", "start")  # what one library holds one motion for
+_EARLIER = " AND ".join(f"{name} = ?" for name in _ASKED) + " AND key <> ?"
 _SELECT = (
     f"SELECT {', '.join(f'motions.{name}' for name in _OWN)}, {', '.join(_WAY)}, shape "
     "FROM motions JOIN ways ON ways.id = motions.way "
@@ -467,6 +469,9 @@ def _insert(index: sqlite3.Connection, entry: Entry, segment: int | None, row: i
         index.execute(f"INSERT INTO near VALUES ({', '.join('?' * 11)})", (way, *ends))
     else:
         (way,) = found
+    earlier = [way, *(getattr(entry, name) for name in _ASKED[1:]), entry.key]  # those of another search
+    index.execute(f"DELETE FROM velocities WHERE key IN (SELECT key FROM motions WHERE {_EARLIER})", earlier)
+    index.execute(f"DELETE FROM motions WHERE {_EARLIER}", earlier)
     values = {name: getattr(entry, name) for name in _OWN} | {"segment": segment, "row": row, "way": way}
     names = ", ".join(values)
     index.execute(
