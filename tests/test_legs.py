@@ -21,7 +21,7 @@ from leanboom.methods.dp_refined import Search
 from leanboom.methods.registry import EFFORTS
 from leanboom.model import motion
 from leanboom.model.task import Leg, Lines, Part
-from leanboom.planning import cycles, junctions, planner, summaries, time_sharing
+from leanboom.planning import cycles, junctions, leg_search, planner, summaries, time_sharing
 from leanboom.problem import stages
 from leanboom.report import run_folder
 from leanboom.study import comparison, pareto, processes
@@ -190,6 +190,19 @@ def test_no_pair_of_extensions_on_a_grid_makes_a_cheaper_cycle():
             costs.append(sum(each.energy_cp for each in plans))
     assert len(costs) > 8
     assert found.evaluation.energy_cp <= 1.001 * min(costs)
+
+
+def test_legs_begin_within_the_stroke_where_a_motion_ends_beyond_it(plan, monkeypatch):
+    """A pseudo-inverse in a hurry ended 0.1 um outside, and that was no start of the next leg."""
+    beyond = VERTICAL.machine.redundant.stroke + 1e-7
+
+    def hurried(task, start):
+        return replace(plan.baseline, motion=motion.held(beyond, task.duration, "held", "cp"))
+
+    monkeypatch.setattr(leg_search.pseudo_inverse, "baseline", hurried)
+    assert leg_search.baseline(CYCLE, 0.71).motion.position[-1] == beyond
+    given = junctions.chain(CYCLE, "cp", (21, 11), 0.5)
+    assert given.leg(1, beyond, -1e-7).end == given.inner[2][0]
 
 
 @pytest.mark.slow

@@ -49,6 +49,7 @@ LEADING = 1.002  # local minima within this factor of the best are refined furth
 PROMISING = 1.0005  # a tube's motion within this factor of the best is polished where loads count
 POLISHABLE = 1.3  # a motion that uses a limit up to this much too far is polished where it is cheaper
 NEAR = 1.05  # a pseudo-inverse of long steps within this factor of the best is made again with short ones
+ELSEWHERE = 0.01  # [m], a pseudo-inverse that ends so far from where it is to end is none of the task
 MOVING, TOUCHING = 1e-3, 1e-4  # a limit that moves [m/s], and a motion on it [m]
 FINER = 5e-4  # stages are halved again while that gains more than this share
 REPAIRABLE, ROOM = 1.05, 0.9995  # limits used up to this much too far are polished again, to below this share
@@ -418,6 +419,9 @@ class Search:
     def keep_baseline(self, problem: Problem, rough: Evaluation | None, start: float) -> None:
         """Take the pseudo-inverse, and polish it, where it is better than the best motion: no plan is worse than it."""
         if rough is not None and judged_cost(rough, self.cost) > NEAR * judged_cost(self.known_best(), self.cost):
+            return
+        end = starts.end_position(problem, start)
+        if rough is not None and end is not None and abs(rough.motion.position[-1] - end) > ELSEWHERE:
             return
         other = pseudo_inverse.baseline(self.task, start)
         if other is not None and ranking.beats(other, self.known_best(), self.cost):

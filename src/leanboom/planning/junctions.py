@@ -58,8 +58,12 @@ class Chain:
         return max(high - low for low, high in self.inner) / (self.grid[0] - 1)
 
     def leg(self, i: int, start: float | str, end: float | str) -> Task:
-        """A leg as a task of its own, from a start to an end [m]."""
-        return self.task.stretch(self.legs[i], start, end)
+        """A leg as a task of its own, from a start to an end [m], which motions may have missed by a little."""
+        ends = (
+            place if isinstance(place, str) else float(np.clip(place, *bounds))
+            for place, bounds in zip((start, end), self.inner[i : i + 2], strict=True)
+        )
+        return self.task.stretch(self.legs[i], *ends)
 
 
 def chain(

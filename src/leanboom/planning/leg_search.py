@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -87,6 +88,7 @@ def joined(task: Task, found: Sequence[Motion]) -> Motion:
     return motion.joined(parts) if parts else first
 
 
+@lru_cache(maxsize=1)  # a plan is held to it, and is shown beside it
 def baseline(task: Task, start: float) -> Evaluation | None:
     """The actuator pseudo-inverse of all legs one after another from a start [m], judged; None where it cannot follow.
 
@@ -96,7 +98,7 @@ def baseline(task: Task, start: float) -> Evaluation | None:
     for each in task.stretches:
         if each.waits:
             continue
-        leg = pseudo_inverse.baseline(task.stretch(each, at), at)
+        leg = pseudo_inverse.baseline(task.stretch(each), at)
         if leg is None:
             return None
         found.append(leg)
