@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -241,7 +242,25 @@ def test_edited_trajectories_are_refused_with_the_reason(plan, tmp_path, change,
     assert str(refusal.value).startswith(f"{run / 'trajectory.csv'}: ")
 
 
-@pytest.mark.parametrize("content", ["time_s,extension_cylinder_m,extension_cylinder_m_s\n0,0,0\n", "", "a,b\n1,2\n"])
+def test_a_motion_whose_stages_lie_between_samples_is_read_as_it_was(plan, tmp_path, rng):
+    """Of a fastest motion samples alone told of accelerations a fifth beyond their limit."""
+    steps = np.linspace(0.0137, 0.0142, 430)
+    steps *= 6.0 / steps.sum()
+    speed = np.cumsum(rng.uniform(-1e-3, 1e-3, 431))
+    speed = np.where(np.arange(431) % 430 == 0, 0.0, speed)
+    moved = motion.from_velocities_at(np.concatenate([[0.0], np.cumsum(steps)]), 0.6713, speed, "dp", "ls")
+    judged = evaluate(plan.task, moved)
+    again = run_folder.read(run_folder.write(replace(plan, motion=moved, evaluation=judged), tmp_path / "run"))[1]
+    middle = 0.5 * (moved.breaks[1:] + moved.breaks[:-1])
+    np.testing.assert_allclose(again.at(middle)[2], moved.acceleration, atol=1e-5)
+    use = evaluate(plan.task, again).limit_use.acceleration
+    assert use == pytest.approx(judged.limit_use.acceleration, rel=1e-4)
+
+
+HEAD = "time_s,extension_cylinder_m,extension_cylinder_m_s,extension_cylinder_m_s2"
+
+
+@pytest.mark.parametrize("content", [f"{HEAD}\n0,0,0,0\n", "", "a,b\n1,2\n"])
 def test_trajectories_without_samples_are_refused(plan, tmp_path, content):
     run = run_folder.write(plan, tmp_path / "run")
     (run / "trajectory.csv").write_text(content, encoding="utf-8")

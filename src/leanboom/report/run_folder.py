@@ -38,6 +38,7 @@ SUMMARY, TASK, MACHINE, TRAJECTORY, REPORT = FILES = (
 ALLOWED = (*FILES, *simulation_page.FILES)  # what a simulation adds is kept by `simulate` alone
 MAX_SUMMARY, MAX_TRAJECTORY = 2**20, 2**29  # [bytes]
 TOLERANCE = 1e-3  # of a sample's time, as a share of the step, and of the end, as a share of the duration
+LEAST_JUMP = 1e-5  # [m/s^2] of an acceleration between two samples, from where a stage is looked for
 APART = 2e-3  # [m], between a length and what the velocities before it lead to
 PUMPS = ("ls", "cp")
 EARLIER = tuple(key for key in KEYS if key != "legs")  # of a summary, before tasks could have legs
@@ -193,7 +194,7 @@ def read(run: Path) -> tuple[Task, Motion, str]:
         if not run.is_dir() or not _is_run_folder(run):
             raise InputError(f"run = {run}; is not a run folder: make one with leanboom plan TASK --out DIR")
         kept = _kept(run)
-        time, position, velocity = _samples(run / TRAJECTORY)
+        time, position, velocity, acceleration = _samples(run / TRAJECTORY)
     for key, valid in (("pump", PUMPS), ("method", None), ("cost", None)):
         if not isinstance(kept[key], str) or (valid and kept[key] not in valid):
             allowed = f"one of {', '.join(valid)}" if valid else "a name"
@@ -206,30 +207,47 @@ def read(run: Path) -> tuple[Task, Motion, str]:
     names = str(kept["method"]), str(kept["cost"])
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            if task.legs:
-                found = motion.from_velocities_at(time, position[0], velocity, *names)
-            else:
-                found = motion.from_velocities(time[-1] / (time.size - 1), position[0], velocity, *names)
+            times, velocities = _stages(time, velocity, acceleration)
+            found = motion.from_velocities_at(times, position[0], velocities, *names)
     except InputError as error:
         raise _damaged(run / TRAJECTORY, str(error)) from None
-    apart = np.abs(found.position - position)
+    led = found.position[np.searchsorted(times, time)]
+    apart = np.abs(led - position)
     if not np.all(apart <= APART):
         k = int(np.argmax(~(apart <= APART)))
         raise _damaged(
             run / TRAJECTORY,
-            f"extension_cylinder_m = {position[k]:g} m at {time[k]:g} s; the velocities before lead to "
-            f"{found.position[k]:g} m",
+            f"extension_cylinder_m = {position[k]:g} m at {time[k]:g} s; the velocities before lead to {led[k]:g} m",
         )
     return task, found, str(kept["pump"])
 
 
-def _samples(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times [s], and lengths [m] and velocities [m/s] of the redundant cylinder, (samples,), as a file has them."""
+def _stages(time: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times [s] and velocities [m/s] where accelerations may change: at samples, and at stages between two of them.
+
+    Args:
+        time, velocity, acceleration: Of the samples [s], [m/s], [m/s^2]; a sample's acceleration lasts from it to the
+            next stage, (samples,).
+    """
+    import numpy as np
+
+    step, jump = np.diff(time), acceleration[:-1] - acceleration[1:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        after = (np.diff(velocity) - acceleration[1:] * step) / jump  # velocities are linear before a stage and after
+    between = (np.abs(jump) > LEAST_JUMP) & (after > TOLERANCE * step) & (after < (1.0 - TOLERANCE) * step)
+    times = np.concatenate([time, (time[:-1] + after)[between]])
+    velocities = np.concatenate([velocity, (velocity[:-1] + acceleration[:-1] * after)[between]])
+    order = np.argsort(times)
+    return times[order], velocities[order]
+
+
+def _samples(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Times [s], and lengths [m], velocities [m/s] and accelerations [m/s^2] of the redundant cylinder, (samples,)."""
     import csv
 
     import numpy as np
 
-    wanted = ("time_s", "extension_cylinder_m", "extension_cylinder_m_s")
+    wanted = ("time_s", "extension_cylinder_m", "extension_cylinder_m_s", "extension_cylinder_m_s2")
     if path.stat().st_size > MAX_TRAJECTORY:
         raise _damaged(path, f"is above {MAX_TRAJECTORY // 2**20} MiB")
     numbers: list[list[float]] = []
@@ -244,8 +262,8 @@ def _samples(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             raise _damaged(path, f"line {rows.line_num} lacks finite numbers in {', '.join(wanted)}") from None
     if len(numbers) < 2:
         raise _damaged(path, "needs two samples or more")
-    time, position, velocity = np.array(numbers).T
-    return time, position, velocity
+    time, position, velocity, acceleration = np.array(numbers).T
+    return time, position, velocity, acceleration
 
 
 def _check_times(path: Path, time: np.ndarray, task: Task) -> None:
