@@ -15,7 +15,7 @@ from leanboom.evaluation.evaluate import evaluate
 from leanboom.io import loading
 from leanboom.model import motion
 from leanboom.planning import planner
-from leanboom.study.papers.experiments import Line
+from leanboom.study.papers.jobs import Line
 
 
 def printed(width, function, *arguments):

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from leanboom.planning.planner import Plan
     from leanboom.simulation.closed_loop import Simulation
     from leanboom.study.comparison import Comparison, Row
-    from leanboom.study.papers.experiments import Line
+    from leanboom.study.papers.jobs import Line
     from leanboom.study.papers.reproduction import Reproduction
     from leanboom.study.pareto import Pareto
 

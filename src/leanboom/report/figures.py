@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from leanboom.model.task import Start
     from leanboom.study.comparison import Comparison
-    from leanboom.study.papers.experiments import Line, Record, Records
+    from leanboom.study.papers.jobs import Line, Record, Records
     from leanboom.study.pareto import Pareto
 
 PUMPS = {"ls": ("load-sensing pump", "#0b5c8c"), "cp": ("constant-pressure pump", "#d9931e")}

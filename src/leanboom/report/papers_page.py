@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 from leanboom.io import folders
 from leanboom.model.outcome import SOLVED
 from leanboom.report import figures, rendering
-from leanboom.study.papers import experiments, printed_values
+from leanboom.study.papers import experiments, printed_values, statements
 from leanboom.study.papers.experiments import EXPERIMENTS, PATHS, PUMPS, STARTS
 
 if TYPE_CHECKING:
     from leanboom.study.comparison import Comparison
-    from leanboom.study.papers.experiments import Line
+    from leanboom.study.papers.jobs import Line, Records
     from leanboom.study.papers.reproduction import Reproduction
     from leanboom.study.pareto import Pareto
 
@@ -132,7 +132,22 @@ def _section(name: str, result: Reproduction) -> dict[str, Any]:
     if name == "tracking":
         counts = [line for line in lines if line.row.startswith("within")]
         return section | {"table": _table([line for line in lines if line not in counts]), "switches": _columns(counts)}
+    if name == "statements":
+        return section | {"table": _statements(lines)}
     return section | {"table": _table(lines)}
+
+
+def _statements(lines: list[Line]) -> Table:
+    """What the paper says, a row a statement, a column a case; bold what is in the range."""
+    cases = len(experiments.CASES)
+    rows = []
+    for i, statement in enumerate(statements.STATEMENTS):
+        found = [line.ours for line in lines[cases * i : cases * (i + 1)]]
+        held = [value is not None and statement.low <= value <= statement.high for value in found]
+        texts = [number(value, 2) for value in found]
+        texts = [f"**{text}**" if holds else text for text, holds in zip(texts, held, strict=True)]
+        rows.append([f"{statement.path}, {statement.text}", statement.span, *texts])
+    return ["what the paper says", "range", *experiments.CASES], rows, False
 
 
 def _columns(counts: list[Line]) -> Table:
@@ -231,7 +246,7 @@ def number(value: float | None, digits: int = 3, *, signed: bool = False) -> str
     return text.lstrip("+-") if float(text) == 0.0 else text
 
 
-def _energy_table(got: experiments.Records) -> Table:
+def _energy_table(got: Records) -> Table:
     """Energies of a path: a row a solution, a column a pump and start."""
     columns = [(start, pump) for start in STARTS for pump in PUMPS]
     rows = []
@@ -265,8 +280,13 @@ def _ranges(groups: Mapping[str, list[Line]]) -> Table:
         values = [value for value, _ in found]
         moved, most = max((abs(value - base), name) for value, name in found)
         most = most if moved >= 5e-4 else "-"
-        rows.append([what, number(varied[0].printed), number(base), number(min(values)), number(max(values)), most])
-    return ["ratio", "printed", "as bundled", "least", "most", "moved most by"], rows, True
+        printed = varied[0].printed
+        near = "-"
+        if printed is not None:
+            _, value, name = min((abs(value - printed), value, name) for value, name in found)
+            near = f"{number(value)}, {name}"
+        rows.append([what, number(printed), number(base), number(min(values)), number(max(values)), near, most])
+    return ["ratio", "printed", "as bundled", "least", "most", "nearest to printed", "moved most by"], rows, True
 
 
 def verdicts(groups: Mapping[str, list[Line]]) -> list[str]:

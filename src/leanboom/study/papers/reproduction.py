@@ -30,7 +30,8 @@ from leanboom.problem import starts
 from leanboom.progress import Progress, quiet
 from leanboom.study import comparison, processes
 from leanboom.study.papers import variations, weights
-from leanboom.study.papers.experiments import COARSE, EXPERIMENTS, Job, Line, Record, Records
+from leanboom.study.papers.experiments import EXPERIMENTS
+from leanboom.study.papers.jobs import COARSE, Job, Line, Record, Records
 from leanboom.study.papers.weights import SIGNED
 
 SMOOTH = 5.0  # [Hz], both papers filter their plans before they are measured
