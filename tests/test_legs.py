@@ -227,11 +227,6 @@ def test_the_run_folder_of_a_cycle_holds_it_whole(plan, tmp_path):
     assert [leg["dwell_s"] for leg in kept["legs"]] == [0.0, 2.0]
     assert sum(leg["energy_j"] for leg in kept["legs"]) == pytest.approx(kept["energy_j"])
     assert "The legs" in (out / "report.html").read_text()
-    driven = leanboom("simulate", str(out))
-    assert driven.exit_code == 0, driven.stderr
-    assert "While the crane waits, 2 s, the pump takes" in " ".join(driven.stdout.split())
-    legs = json.loads((out / "simulation.json").read_text())["legs"]
-    assert [leg["planned_energy_j"] for leg in legs] == pytest.approx([leg["energy_j"] for leg in kept["legs"]], 1e-3)
 
 
 def test_an_ordinary_task_is_one_leg(tmp_path):
@@ -242,7 +237,7 @@ def test_an_ordinary_task_is_one_leg(tmp_path):
 
 
 @pytest.mark.slow
-def test_commands_show_and_plan_a_cycle_with_its_pump_flow_limited(plan, tmp_path):
+def test_commands_show_plan_and_simulate_a_cycle_with_its_pump_flow_limited(plan, tmp_path):
     """The pump has 90 % of what the plan without that limit asks for."""
     small = replace(CYCLE.machine.pump, max_flow=0.9 * float(plan.evaluation.pump_flow.max()))
     written(tmp_path, dump_machine(replace(CYCLE.machine, pump=small)), "small.yaml")
@@ -257,6 +252,11 @@ def test_commands_show_and_plan_a_cycle_with_its_pump_flow_limited(plan, tmp_pat
     assert "The crane waits 2 s, and no oil flows" in made.stdout
     kept = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert plan.evaluation.energy_cp < kept["energy_j"] and 0.9 < kept["limit_use"]["flow"] <= 1.001
+    driven = leanboom("simulate", str(tmp_path / "run"))
+    assert driven.exit_code == 0, driven.stderr
+    assert "While the crane waits, 2 s, the pump takes" in " ".join(driven.stdout.split())
+    legs = json.loads((tmp_path / "run" / "simulation.json").read_text())["legs"]
+    assert [leg["planned_energy_j"] for leg in legs] == pytest.approx([leg["energy_j"] for leg in kept["legs"]], 1e-3)
 
 
 def test_a_receding_horizon_says_why_it_takes_no_cycle():
@@ -326,8 +326,8 @@ def test_a_cycles_motion_is_made_slower_leg_by_leg(plan):
 
 @pytest.mark.slow
 def test_energy_over_the_duration_of_a_cycle(plan):
-    found = pareto.pareto(CYCLE, "cp", durations=[24.0, 13.0], **QUICK)
-    assert [point.json()["duration_s"] for point in found.points] == [13.0, 24.0]
+    found = pareto.pareto(CYCLE, "cp", durations=[16.0, 13.0], **QUICK)
+    assert [point.json()["duration_s"] for point in found.points] == [13.0, 16.0]
     assert all(point.solved and point.energy < point.baseline for point in found.points)
     assert found.points[0].energy <= plan.evaluation.energy_cp * (1.0 + 1e-6)
 
