@@ -34,6 +34,9 @@ def record(job):
     numbers |= {"driven_ls_j": 1.1 * energy, "driven_cp_j": 2.2 * energy, "accuracy_ls_m": 0.1, "accuracy_cp_m": 0.05}
     names = (*variations.SWITCHES, variations.ALL) if job.switched else ()
     numbers["switched_m"] = {f"{name}, {pump}": 0.15 for name in names for pump in ("ls", "cp")}
+    share = energy / max(1, len(job.task.legs))
+    numbers |= {"leg_s": [15.0 for _ in job.task.legs], "leg_ls_j": [share for _ in job.task.legs]}
+    numbers["leg_cp_j"] = [2.0 * each for each in numbers["leg_ls_j"]]
     status = "acceleration of tilt is 1.0 m/s^2" if job.method.startswith("sns") else "solved"
     return {"status": status, **numbers, "solve_s": 1.0, "cpu_s": 1.0, **EMPTY}
 
@@ -121,6 +124,19 @@ def test_the_reason_of_a_path_error_is_the_switch_that_comes_nearest():
     assert experiments._nearer(0.3, errors | {experiments.NONE: None}, experiments.NONE) == ""
 
 
+def test_a_cycle_is_told_by_leg():
+    found = reproduction.solve(EXPERIMENTS["cycles"].jobs()["loader-cycle, pseudo-inverse"])
+    assert found["leg_s"] == pytest.approx([10.0, 10.0, 11.0])
+    for pump in ("ls", "cp"):
+        assert sum(found[f"leg_{pump}_j"]) == pytest.approx(found[f"energy_{pump}_j"], rel=1e-9)
+
+
+def test_what_the_shortest_time_changes_is_read_off_both_timings(solved, tmp_path):
+    lines = {line.row: line.ours for line in reproduction.reproduce(["cycles"], tmp_path).lines}
+    assert lines["forwarder-cycle, loading in the shortest time, ls: change of energy [%]"] == pytest.approx(0.0)
+    assert lines["loader-cycle, cp: time [s]"] == 45.0 and "loader-cycle, cp: leg 3 [kJ]" in lines
+
+
 def test_statements_stand_in_ranges_for_both_cranes(solved, tmp_path):
     """Pseudo-inverses of the given records are 1.8 times as dear as programs, and CP energies double."""
     result = reproduction.reproduce(["statements"], tmp_path)
@@ -166,7 +182,7 @@ def test_every_job_is_one_that_can_be_solved():
     for experiment in EXPERIMENTS.values():
         for job in experiment.jobs().values():
             assert job.method in (*METHODS.names(), COARSE, SIGNED)
-            assert job.task.start in ("smallest", "middle")
+            assert job.task.start in ("smallest", "middle") or job.task.legs
 
 
 def test_names_of_experiments():

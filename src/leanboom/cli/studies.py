@@ -130,8 +130,8 @@ def reproduce(
         list[str] | None,
         typer.Argument(
             metavar="NAME",
-            help="all, or some of table2, table3, fig8, fig10, sizing, horizontal, vertical, half-cycle, tracking, "
-            "sensitivity.",
+            help="all, or some of table2, table3, fig8, fig10, sizing, horizontal, vertical, half-cycle, cycles, "
+            "statements, tracking, sensitivity.",
         ),
     ] = None,
     out: Annotated[

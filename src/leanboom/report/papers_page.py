@@ -134,7 +134,25 @@ def _section(name: str, result: Reproduction) -> dict[str, Any]:
         return section | {"table": _table([line for line in lines if line not in counts]), "switches": _columns(counts)}
     if name == "statements":
         return section | {"table": _statements(lines)}
+    if name == "cycles":
+        changes = [line for line in lines if "change" in line.row]
+        whole = [line for line in lines if line not in changes]
+        return section | {"table": _cycles(whole), "changes": _table(changes)}
     return section | {"table": _table(lines)}
+
+
+def _cycles(lines: list[Line]) -> Table:
+    """Times and energies of whole cycles, a row a cycle, timing or method, and pump."""
+    rows: dict[str, list[Line]] = {}
+    for line in lines:
+        rows.setdefault(line.row.rsplit(": ", 1)[0], []).append(line)
+    legs = max(len(found) for found in rows.values()) - 2
+    heads = ["cycle", "time [s]", "energy [kJ]", *(f"leg {i} [kJ]" for i in range(1, legs + 1)), "why not"]
+    cells = []
+    for name, found in rows.items():
+        numbers = [number(line.ours, 1) for line in found]
+        cells.append([_plain(name), *numbers, *[""] * (legs + 2 - len(numbers)), _plain(found[0].why)])
+    return [_plain(head) for head in heads], cells, True
 
 
 def _statements(lines: list[Line]) -> Table:

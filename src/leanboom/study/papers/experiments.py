@@ -17,7 +17,7 @@ from leanboom.io import loading
 from leanboom.methods.registry import METHODS
 from leanboom.model.outcome import SOLVED
 from leanboom.model.task import Task
-from leanboom.study.papers import forwarder, printed_values, statements
+from leanboom.study.papers import forwarder, loading_cycles, printed_values, statements
 from leanboom.study.papers.jobs import COARSE, Experiment, Job, Line, Record, Records, percent, ratio
 from leanboom.study.papers.variations import (
     ALL,
@@ -457,6 +457,7 @@ EXPERIMENTS = {
     "statements": Experiment(
         "What the 4-DOF paper says of energies (4-DOF, section 6)", _statement_jobs, _statement_lines
     ),
+    "cycles": Experiment("Whole cycles (4-DOF, conclusions)", loading_cycles.jobs, loading_cycles.lines),
     "tracking": Experiment(
         "Largest path errors in closed loop by ISO 9283 (4-DOF, Table 4)", _tracking_jobs, _tracking_lines
     ),

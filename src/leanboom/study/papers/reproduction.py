@@ -13,7 +13,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ConfigDict, FiniteFloat, model_validator
 
@@ -26,6 +26,7 @@ from leanboom.methods.registry import METHODS, STEP
 from leanboom.model.motion import Motion
 from leanboom.model.outcome import SOLVED
 from leanboom.model.task import Task
+from leanboom.planning import summaries
 from leanboom.problem import starts
 from leanboom.progress import Progress, quiet
 from leanboom.study import comparison, processes
@@ -34,9 +35,14 @@ from leanboom.study.papers.experiments import EXPERIMENTS
 from leanboom.study.papers.jobs import COARSE, Job, Line, Record, Records
 from leanboom.study.papers.weights import SIGNED
 
+if TYPE_CHECKING:
+    from leanboom.evaluation.evaluate import Evaluation
+
 SMOOTH = 5.0  # [Hz], both papers filter their plans before they are measured
+CYCLE = 4.0  # how many times as long as its legs a whole cycle takes, roughly
 POINTS = 601  # of a motion in its record, at most
 CLOSED_LOOP = ("driven_ls_j", "driven_cp_j", "accuracy_ls_m", "accuracy_cp_m")  # numbers of a record
+BY_LEG = ("leg_s", "leg_ls_j", "leg_cp_j")  # lists of a record, an entry a leg
 FOLDER = "solved"  # of the solutions
 
 
@@ -149,6 +155,7 @@ def key(job: Job) -> str:
 def _effort(job: Job) -> float:
     """How long a job takes, roughly, relative to others."""
     weight = METHODS.find({COARSE: "dp", SIGNED: "sns-actuator"}.get(job.method, job.method)).weight
+    weight *= CYCLE if job.task.legs else 1.0
     return (3.0 if job.cost == "ls" else 1.0) * weight * job.task.duration * job.grid[0] * job.grid[1]
 
 
@@ -188,7 +195,7 @@ def solve(job: Job) -> dict[str, Any]:
         plan = comparison.plan_row(task, job.method, job.cost, grid=job.grid)
         found, first = plan.motion, plan.evaluation
     status = next(iter(first.violations), SOLVED)  # the papers know no limits of the pump
-    judged = evaluate(replace(task, smooth=SMOOTH), found)
+    judged = first if task.legs else evaluate(replace(task, smooth=SMOOTH), found)
     at = np.unique(np.linspace(0, judged.time.size - 1, min(POINTS, judged.time.size)).round().astype(int))
     return {
         "status": str(status),
@@ -198,6 +205,7 @@ def solve(job: Job) -> dict[str, Any]:
         "pressure_pa": float(judged.pressure.max()),
         **_driven(judged.task, found, job.driven),
         "switched_m": _switched(judged.task, found, job.switched),
+        **_by_leg(judged),
         "solve_s": float(found.solve_s),
         "cpu_s": time.process_time() - began,
         "time_s": np.round(judged.time[at], 6).tolist(),
@@ -240,6 +248,14 @@ def _switched(task: Task, found: Motion, wanted: bool) -> dict[str, float]:
     return accuracies
 
 
+def _by_leg(judged: Evaluation) -> dict[str, list[float]]:
+    """Times of legs, waiting before them included, and their energies; empty where the crane cannot follow."""
+    shares = {pump: summaries.legs(judged, pump) for pump in ("ls", "cp")}
+    found = {"leg_s": [each.dwell + each.duration for each in shares["ls"]]}
+    energies = {f"leg_{pump}_j": [each.energy for each in shares[pump] if each.energy is not None] for pump in shares}
+    return found | energies
+
+
 def _nothing(reason: str) -> dict[str, Any]:
     """The record of a solution that failed."""
     numbers = ("energy_ls_j", "energy_cp_j", "flow_m3", "pressure_pa", *CLOSED_LOOP, "solve_s", "cpu_s")
@@ -247,6 +263,7 @@ def _nothing(reason: str) -> dict[str, Any]:
         "status": reason,
         **dict.fromkeys(numbers),
         "switched_m": {},
+        **{name: [] for name in BY_LEG},
         "time_s": [],
         "stroke_m": [],
         "supply_ls_pa": [],
@@ -268,6 +285,9 @@ class _Kept(BaseModel):
     accuracy_ls_m: FiniteFloat | None
     accuracy_cp_m: FiniteFloat | None
     switched_m: dict[str, FiniteFloat]
+    leg_s: list[FiniteFloat]
+    leg_ls_j: list[FiniteFloat]
+    leg_cp_j: list[FiniteFloat]
     solve_s: FiniteFloat | None
     cpu_s: FiniteFloat | None
     time_s: list[FiniteFloat]
