@@ -13,8 +13,10 @@ from leanboom.io.loading import dump_task, load_task
 from leanboom.methods import pseudo_inverse
 from leanboom.methods.least_duration import shortest_duration
 from leanboom.model import crane as cranes
-from leanboom.model.task import Reference, Retimed
+from leanboom.model import motion
+from leanboom.model.task import Leg, Lines, Reference, Retimed, Task
 from leanboom.planning import planner
+from leanboom.planning.replanning import replan
 from leanboom.problem import stages
 from leanboom.timing import along, free, shortest, time_optimal
 
@@ -203,6 +205,20 @@ def load_task_of(task):
         file = Path(folder) / f"{task.name}.yaml"
         file.write_text(dump_task(task, "forwarder"), encoding="utf-8")
         return replace(load_task(file), source="")
+
+
+def test_a_fastest_leg_to_come_is_kept_by_a_new_plan(fastest):
+    """On the stages of a new plan no motion keeps its limits; the crane would stop."""
+    lines = VERTICAL.path
+    up = Leg(payload=0.0, path=Lines(lines.points[::-1], (5.0,)))
+    cycle = Task("cycle", VERTICAL.machine, legs=(up, Leg(payload=0.0, path=fastest.task.path)), start=STROKE)
+    known = motion.joined([motion.held(STROKE, 5.0, "held", "ls"), fastest.motion])
+    off = replan(cycle, 2.0, STROKE + 5e-3, 0.0, around=known)
+    assert off.solved and off.at(np.array([5.0]))[0] == pytest.approx(STROKE, abs=1e-9)
+    assert off.at(np.array([6.0]))[0] == pytest.approx(known.at(np.array([6.0]))[0], abs=1e-9)
+    c, w, _ = known.at(np.array([6.0]))
+    last = replan(cycle, 6.0, float(c[0]), float(w[0]), around=off)
+    assert last.solved and last.task.duration == pytest.approx(cycle.duration - 6.0)
 
 
 # The least energy

@@ -34,6 +34,7 @@ from leanboom.quantities.ranges import Range, noted, one_of
 TUBE = (13, 21)  # nodes of a tube; few positions do, as the tube is narrow
 WIDTH, SPREAD = 0.03, 0.12  # first half widths of a tube, of the stroke range and of the velocity limit
 SETTLE = 1.0  # time in which a disturbed motion is led back to the planned one [s]
+LED = 11  # stages of that at least, ends counted
 STATE_TOLERANCE = 1e-3  # [m], how far off the feasible extensions a state may be
 STEP = 0.1  # [s]
 COARSE = 2.0  # stages of the coarse program are longer by this
@@ -137,7 +138,13 @@ def replan(
     best = evaluate(rest, leg_search.joined(rest, _swept(left, tubes, pump, position, velocity)))
     if around is not None or not best.feasible:
         other = evaluate(rest, leg_search.joined(rest, seed))
-        best = min(best, other, key=lambda judged: ranking.rank(judged, judged_cost(judged, pump)))
+        best = _better(best, other, pump)
+    if not (best.feasible or around is None or (isinstance(around, Continuation) and around.stopping)):
+        # A fastest leg leaves nothing to choose, and is there on the stages of its plan alone.
+        kept = _kept(rest, around, time, position, velocity)
+        first = _swept([_ending(left[0], float(kept[0].position[-1]))], tubes[:1], pump, position, velocity)
+        for each in (kept, [*first, *kept[1:]]):
+            best = _better(best, evaluate(rest, leg_search.joined(rest, each)), pump)
     if not best.feasible:
         return _stop(task, time, position, velocity, best.status)
     return Continuation(rest, time, best.motion, best, stopping=False)
@@ -212,6 +219,41 @@ def _followed(
     return found
 
 
+def _better(one: Evaluation, other: Evaluation, cost: str) -> Evaluation:
+    """The better of two judged motions, the first where they are equal."""
+    return min(one, other, key=lambda judged: ranking.rank(judged, judged_cost(judged, cost)))
+
+
+def _ending(part: _Part, end: float) -> _Part:
+    """A leg that is to end at a length [m]."""
+    problem = part.problem
+    return replace(part, problem=replace(problem, task=replace(problem.task, end=end)))
+
+
+def _kept(rest: Task, around: Motion | Continuation, time: float, position: float, velocity: float) -> list[Motion]:
+    """What is left of a given motion on its own stages, by legs, a state led back to it as by `track`."""
+    whole, begun = (around.motion, around.since) if isinstance(around, Continuation) else (around, 0.0)
+    since = time - begun
+    legs = [each for each in rest.stretches if not each.waits]
+    spans = [(each.since, each.until) for each in legs] or [(0.0, rest.duration)]
+    found = [motion.between(whole, since + first, since + last) for first, last in spans]
+    known = found[0]
+    more = np.linspace(0.0, min(SETTLE, known.duration), LED)
+    apart = np.abs(more[:, None] - known.breaks).min(axis=1) > motion.EVEN
+    time = np.union1d(known.breaks, more[apart])
+    speed = known.at(time)[1] + _led_back(time, position - known.position[0], velocity - known.velocity[0])
+    led = motion.from_velocities_at(time, position, speed, known.method, known.cost)
+    return [motion.ending_at(led, float(known.position[-1])), *found[1:]]
+
+
+def _led_back(time: np.ndarray, off_c: float, off_w: float) -> np.ndarray:
+    """Velocities [m/s] at times from 0 on [s] that take a deviation [m], [m/s] away within `SETTLE`."""
+    lasts = min(SETTLE, time[-1])
+    s = np.minimum(time / lasts, 1.0)
+    # Cubic Hermite from the deviation to none, differentiated.
+    return 6.0 * (s * s - s) / lasts * off_c + (1.0 - s) * (1.0 - 3.0 * s) * off_w
+
+
 def _stop(task: Task, time: float, position: float, velocity: float, why: str) -> Continuation:
     """The safest stop from a state, on the path of the leg under way; arguments as in `safe_stop.safest_stop`."""
     if not task.legs:
@@ -257,11 +299,7 @@ def track(search: Search, around: Motion | Continuation, since: float) -> Motion
     """
     problem = search.problem
     c, w, _ = around.at(since + problem.time)
-    off_c, off_w = search.position - c[0], search.velocity - w[0]
-    lasts = min(SETTLE, problem.time[-1])
-    s = np.minimum(problem.time / lasts, 1.0)
-    # Cubic Hermite from the deviation to none, differentiated.
-    speed = w + 6.0 * (s * s - s) / lasts * off_c + (1.0 - s) * (1.0 - 3.0 * s) * off_w
+    speed = w + _led_back(problem.time, search.position - c[0], search.velocity - w[0])
     if search.terminal is None:
         speed[-1] = 0.0
     tracked = motion.from_velocities(problem.step, search.position, speed, "track", search.cost)
