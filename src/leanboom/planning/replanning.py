@@ -240,9 +240,9 @@ def _kept(rest: Task, around: Motion | Continuation, time: float, position: floa
     known = found[0]
     more = np.linspace(0.0, min(SETTLE, known.duration), LED)
     apart = np.abs(more[:, None] - known.breaks).min(axis=1) > motion.EVEN
-    time = np.union1d(known.breaks, more[apart])
-    speed = known.at(time)[1] + _led_back(time, position - known.position[0], velocity - known.velocity[0])
-    led = motion.from_velocities_at(time, position, speed, known.method, known.cost)
+    when = np.union1d(known.breaks, more[apart])
+    speed = known.at(when)[1] + _led_back(when, position - known.position[0], velocity - known.velocity[0])
+    led = motion.from_velocities_at(when, position, speed, known.method, known.cost)
     return [motion.ending_at(led, float(known.position[-1])), *found[1:]]
 
 
