@@ -15,6 +15,7 @@ from leanboom.formulas import hydraulics
 from leanboom.model import crane as cranes
 from leanboom.model import motion
 from leanboom.problem import stage_arrays
+from leanboom.problem.legs import Legs
 from leanboom.problem.stages import Problem
 
 
@@ -74,7 +75,7 @@ def least_in_cell(found: lower_bounds.Bounds, pump: str, k: int, p: int, r: int,
 
     From states within the row's velocity bounds: the others can keep no limit further on.
     """
-    held, problem = found.cells, found.cells.problem
+    held, problem = found.cells, found.cells.legs.problems[0]
     low, high = held.rows[k][p : p + 2]
     slow, fast = held.edges[k][p, r : r + 2]
     share = np.linspace(-0.5, 0.5, count)
@@ -116,3 +117,53 @@ def random_motion(problem: Problem, start: float, rng: np.random.Generator, trie
         if strict and used.max() <= 1.0:
             return found.motion
     return None
+
+
+def least_of_legs(
+    legs: Legs, pump: str, start: float | None, closed: bool, count: int
+) -> tuple[float, upper_bound.Measured | None]:
+    """The least energy of legs over all motions on grids of `count` values, and such a motion.
+
+    The grids are of velocities at every stage, and of the start where that is None. A closed motion's last velocity is
+    the one that leads it back to its start.
+    """
+    limit, low, high = legs.velocity_limit, float(legs.lower[0]), float(legs.upper[0])
+    inner = [k for i in range(len(legs.problems)) for k in range(legs.firsts[i] + 1, legs.firsts[i + 1])]
+    step = np.repeat([problem.step for problem in legs.problems], np.diff(legs.firsts))
+    centre = np.array([0.5 * (low + high) if start is None else start, *[0.0] * (len(inner) - closed)])
+    span = np.array([0.5 * (high - low) if start is None else 0.0, *[limit] * (len(inner) - closed)])
+    best, chosen = np.inf, None
+    for _ in range(4):  # look again around the best
+        axes = [
+            np.unique(middle + np.linspace(-reach, reach, count)) for middle, reach in zip(centre, span, strict=True)
+        ]
+        tried = np.array(list(itertools.product(*axes)))
+        w = np.zeros((len(tried), legs.stages + 1))
+        w[:, inner[: len(centre) - 1]] = tried[:, 1:]
+        if closed:
+            w[:, inner[-1]] = -(w[:, inner[:-1]] * step[inner[:-1]]).sum(axis=1) / step[inner[-1]]
+        u, moved = np.diff(w, axis=1) / step, np.cumsum(0.5 * step * (w[:, 1:] + w[:, :-1]), axis=1)
+        c = tried[:, :1] + np.concatenate([np.zeros((len(w), 1)), moved], axis=1)
+        keeps = np.all((c >= legs.lower) & (c <= legs.upper) & (np.abs(w) <= limit), axis=1)
+        keeps &= (c[:, -1] >= legs.lower[-1]) & (c[:, -1] <= legs.upper[-1])
+        tried, c, w, u = tried[keeps], c[keeps], w[keeps], u[keeps]
+        total = np.zeros(len(c))
+        for i, problem in enumerate(legs.problems):
+            here = slice(int(legs.firsts[i]), int(legs.firsts[i + 1]))
+            cost, used = rates(problem, pump, np.arange(problem.stages), c[:, here], w[:, here], u[:, here])
+            total += np.where(np.all(used <= 1.0, axis=1), cost.sum(axis=1), np.inf)
+        if len(total) and total.min() < best:
+            least = int(total.argmin())
+            best, centre = float(total[least]), tried[least]
+            chosen = [
+                motion.make(
+                    problem.step, c[least, part], w[least, part], np.diff(w[least, part]) / problem.step, "", pump
+                )
+                for problem, part in ((legs.problems[i], legs.part(i)) for i in range(len(legs.problems)))
+            ]
+        span = span * 3.0 / count
+    if chosen is None:
+        return best, None
+    return best, upper_bound.joined(
+        [upper_bound.measure(problem, each, pump) for problem, each in zip(legs.problems, chosen, strict=True)]
+    )

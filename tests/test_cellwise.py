@@ -10,6 +10,7 @@ from leanboom.certificate import cell_enclosures, lower_bounds, partition, posit
 from leanboom.model import crane as cranes
 from leanboom.model import motion
 from leanboom.problem import layout, stages
+from leanboom.problem.legs import Legs
 
 
 @pytest.fixture(scope="module")
@@ -26,14 +27,14 @@ def nominal(kept: partition.Cells, k: int) -> np.ndarray:
 
 
 def test_constant_pressure_leaves_the_lattice(problem):
-    kept = partition.whole(problem, "cp")
+    kept = partition.whole(Legs((problem,)), "cp")
     for k in range(problem.stages):
         assert np.array_equal(kept.edges[k], np.tile(nominal(kept, k), (kept.positions, 1)))
 
 
 def test_moved_edges_are_where_cylinders_surely_begin_to_be_driven(problem, rng):
     """Against the crane's own velocities at random positions of the row."""
-    kept = partition.whole(problem, "ls")
+    kept = partition.whole(Legs((problem,)), "ls")
     threshold = problem.crane.machine.driven_velocity
     moved = 0
     for k in range(0, problem.stages, 5):
@@ -63,9 +64,9 @@ def still(problem) -> motion.Motion:
 @pytest.mark.parametrize(("pump", "above"), [("cp", 0.1), ("ls", 0.1), ("cp", 0.005)])
 def test_rows_are_narrower_near_a_motion_and_fill_the_feasible_extensions(problem, pump, above):
     beside = motion.from_velocities(problem.step, problem.lower[0] + above, np.zeros(problem.stages + 1), "still", pump)
-    kept, seen = partition.whole(problem, pump, beside), set()
+    kept, seen = partition.whole(Legs((problem,)), pump, beside), set()
     narrower, lower = position_rows.FINER[pump]
-    ordinary = partition.whole(problem, pump).velocities
+    ordinary = partition.whole(Legs((problem,)), pump).velocities
     for k, rows in enumerate(kept.rows):
         assert rows[0] == pytest.approx(problem.lower[k], abs=1e-12)
         assert rows[-1] == pytest.approx(problem.upper[k], abs=1e-12)
@@ -108,7 +109,7 @@ def unknown(kept: partition.Cells) -> lower_bounds.Bounds:
 @pytest.mark.slow
 @pytest.mark.parametrize("pump", ["cp", "ls"])
 def test_smaller_cells_hold_every_state_of_the_cells_kept(problem, rng, pump):
-    kept = partition.whole(problem, pump, still(problem))
+    kept = partition.whole(Legs((problem,)), pump, still(problem))
     for columns, rows_too in ((slice(14, 26), True), ([0, -1], True), (slice(8, 20), False)):  # at the sides as well
         excess = chosen(kept, rng, columns)
         finer = lower_bounds.refine(unknown(kept), excess, rows_too)

@@ -19,6 +19,7 @@ from leanboom.model import motion
 from leanboom.model.pump_flow import pump_flow
 from leanboom.model.task import Limits, Lines, Task
 from leanboom.problem import least_flow, stage_arrays, stages
+from leanboom.problem.legs import Legs
 from slow_bounds import quiet
 
 
@@ -37,7 +38,7 @@ def solved():
     """The bounds of a coarse vertical path, LS, and a motion to hold against them."""
     task = replace(load_task("forwarder-vertical"), start="middle")
     problem = stages.discretise(task, 0.25)
-    found = lower_bounds.bound(partition.whole(problem, "ls", times=(2, 2)), None, quiet)
+    found = lower_bounds.bound(partition.whole(Legs((problem,)), "ls", times=(2, 2)), None, quiet)
     return problem, found
 
 
@@ -50,8 +51,8 @@ def test_bounds_over_coarse_cells_never_exceed_the_brute_force_optimum(seed, tim
     start = 0.5 * (problem.lower[0] + problem.upper[0])
     least, best = slow_bounds.least_energy(problem, pump, start, 15)
     assert best is not None
-    kept = partition.whole(problem, pump, best, times)
-    assert kept.count == partition.size(problem, pump, best, times).count
+    kept = partition.whole(Legs((problem,)), pump, best, times)
+    assert kept.count == partition.size(Legs((problem,)), pump, best, times).count
     for low, high, rows in zip(problem.lower, problem.upper, kept.rows, strict=True):
         assert (rows[0], rows[-1]) == pytest.approx((low, high))
         assert np.all(np.diff(rows) > 0.0)
@@ -72,7 +73,7 @@ def test_bound_never_exceeds_the_brute_force_optimum(larger_cells, seed, pump):
     start = 0.5 * (problem.lower[0] + problem.upper[0])
     least, best = slow_bounds.least_energy(problem, pump, start, 17)
     assert best is not None
-    kept, bound, told = partition.whole(problem, pump, best if seed % 3 else None), 0.0, 0
+    kept, bound, told = partition.whole(Legs((problem,)), pump, best if seed % 3 else None), 0.0, 0
     for level in range(4):
         found = lower_bounds.bound(kept, start, quiet, limit=least * (1.0 + 1e-9))
         assert found.lower <= least * (1.0 + 1e-9)
@@ -109,7 +110,7 @@ def test_bound_never_exceeds_the_brute_force_optimum_within_the_pumps_flow(seed,
     assert slower is not None and least > free
     assert not upper_bound.measure(within, best, pump).keeps_limits
     assert upper_bound.measure(within, slower, pump).keeps_limits
-    found = lower_bounds.bound(partition.whole(within, pump, slower, (2, 2)), start, quiet, coarse=True)
+    found = lower_bounds.bound(partition.whole(Legs((within,)), pump, slower, (2, 2)), start, quiet, coarse=True)
     assert 0.0 < found.lower <= least * (1.0 + 1e-9)
     costs = upper_bound.measure(within, slower, pump).costs
     assert lower_bounds.residuals(found, slower, costs).min() >= -1e-9 * least
@@ -129,7 +130,7 @@ def test_velocities_that_keep_the_pumps_flow_are_kept(seed, rng):
     flow = 1.2 * float(least_flow.least_flow(free).max())
     problem = stages.discretise(limited(task, flow), free.step)
     limit = task.machine.redundant.velocity_limit
-    kept = partition.whole(problem, "cp", times=(2, 2))
+    kept = partition.whole(Legs((problem,)), "cp", times=(2, 2))
     for k in range(1, problem.stages):
         rows = kept.rows[k]
         columns = np.tile([-limit, limit], (rows.size - 1, 1))
@@ -167,7 +168,7 @@ def test_planes_stay_below_all_sampled_motions_of_their_cell(larger_cells, pump,
     task = small_task(1)
     problem = stages.discretise(task, task.duration / 4.0)
     still = motion.from_velocities(problem.step, problem.lower[0] + 0.1, np.zeros(problem.stages + 1), "still", pump)
-    found = lower_bounds.bound(partition.whole(problem, pump, still), None, quiet)
+    found = lower_bounds.bound(partition.whole(Legs((problem,)), pump, still), None, quiet)
     compared = 0
     for k in (2, 1, 0):
         planes = found.planes[k]

@@ -11,6 +11,7 @@ from leanboom import certify, load_task
 from leanboom.certificate import lower_bounds, partition, upper_bound, value_slopes
 from leanboom.model import motion
 from leanboom.problem import layout, stages
+from leanboom.problem.legs import Legs
 from slow_bounds import quiet
 
 REACH = 0.6  # of a cell, how far from its middle differences are taken
@@ -21,19 +22,19 @@ def loader(coarser_guide):
     """The medium triangle from the retracted telescope, coarsely, its cells and a guide."""
     task = replace(load_task("loader-triangle-medium"), start="smallest")
     problem = stages.discretise(task, 0.5)
-    kept = partition.whole(problem, "cp")
+    kept = partition.whole(Legs((problem,)), "cp")
     held = motion.from_velocities(problem.step, problem.lower[0] + 0.3, np.zeros(problem.stages + 1), "held", "cp")
-    return problem, kept, value_slopes.make(problem, "cp", kept.viable, held)
+    return problem, kept, value_slopes.make(Legs((problem,)), "cp", kept.viable, held)
 
 
 @pytest.mark.slow
 def test_guided_bounds_see_the_end_of_the_stroke_and_stay_below_every_motion(loader):
     problem, _, known = loader
-    kept, start = partition.whole(problem, "cp", times=(1, 2)), float(problem.lower[0])
+    kept, start = partition.whole(Legs((problem,)), "cp", times=(1, 2)), float(problem.lower[0])
     guided = lower_bounds.bound(kept, start, quiet, known.slopes)
     assert guided.lower > 1.01 * lower_bounds.bound(kept, start, quiet).lower
     # Nor above a policy's motion, stage by stage.
-    moving = value_slopes.value_function.rollout(known.policies[0], start)
+    moving = value_slopes.value_function.rollout(known.policies[0][0], start)
     measured = upper_bound.measure(problem, moving, "cp")
     assert measured.keeps_limits
     assert guided.lower <= measured.energy
@@ -42,7 +43,7 @@ def test_guided_bounds_see_the_end_of_the_stroke_and_stay_below_every_motion(loa
 
 def test_slopes_that_are_no_numbers_are_level_ones(loader):
     problem, _, _ = loader
-    kept, start = partition.whole(problem, "cp", times=(4, 2)), float(problem.lower[0])
+    kept, start = partition.whole(Legs((problem,)), "cp", times=(4, 2)), float(problem.lower[0])
 
     def given(value):
         return lambda cells_, k: np.full((*cells_.active[k].shape, 2), value)
@@ -84,27 +85,27 @@ def test_an_envelope_is_found_once_for_cells_of_any_size(loader, monkeypatch):
 
 def given_values(known, k, values):
     """A guide of one policy with other values at a stage, a function of position above the lower end and velocity."""
-    policy = known.policies[0]
+    policy = known.policies[0][0]
     grid = policy.grid
     c = np.linspace(0.0, grid.c_hi[k] - grid.c_lo[k], grid.positions)
     w = np.linspace(grid.w_lo[k], grid.w_hi[k], grid.velocities)
     changed = policy.values.copy()
     changed[k] = values(c[:, None], w[None, :])
-    return replace(known, policies=(replace(policy, values=changed),))
+    return replace(known, policies=((replace(policy, values=changed),),))
 
 
 def nearest(known, kept, k):
     """The cells where the slopes of a stage's cells are taken: the whole policy knows them all."""
-    mask = value_slopes.known_cells(known.policies[0], kept, k)
+    mask = value_slopes.known_cells(known.policies[0][0], kept, k)
     assert mask.all()
-    return known.nearest_known(known.policies[0], kept, k, mask)
+    return known.nearest_known(known.policies[0][0], kept, k, mask)
 
 
 @pytest.mark.parametrize("pump", ["cp", "ls"])
 def test_slopes_are_those_of_the_least_cost_to_go(loader, pump):
     """Against differences of stage cost plus values ahead, least over all accelerations, where nothing has a kink."""
     problem, _, known = loader
-    kept, k = partition.whole(problem, pump), 20
+    kept, k = partition.whole(Legs((problem,)), pump), 20
 
     def values(above, w):
         return 3e4 * (above - 0.3) ** 2 + 2e4 * (w - 0.05) ** 2
@@ -155,7 +156,7 @@ def test_beside_states_that_are_not_viable_the_nearest_cells_with_a_margin_are_t
     problem, kept, known = loader
     k = 10
     row, column = nearest(known, kept, k)
-    apart = value_slopes.MARGIN_SPACINGS / (known.policies[0].grid.positions - 1)
+    apart = value_slopes.MARGIN_SPACINGS / (known.policies[0][0].grid.positions - 1)
     first = int(np.ceil(apart * kept.positions - 1e-9))
     assert row[: first + 1].tolist() == [first] * (first + 1)
     assert row[first + 1] == first + 1
@@ -166,11 +167,11 @@ def test_beside_states_that_are_not_viable_the_nearest_cells_with_a_margin_are_t
 
 def test_a_tube_gives_the_slopes_inside_it_and_only_there(loader):
     problem, kept, known = loader
-    k, (whole, tube) = 5, known.policies
+    k, (whole, tube) = 5, known.policies[0]
     changed = tube.values.copy()
     changed[k + 1] += np.linspace(0.0, 1e3, tube.grid.positions, dtype=np.float32)[:, None]
     before = known.slopes(kept, k)
-    after = replace(known, policies=(whole, replace(tube, values=changed))).slopes(kept, k)
+    after = replace(known, policies=((whole, replace(tube, values=changed)),)).slopes(kept, k)
     differ = np.any(before != after, axis=-1)
     assert differ.sum() > 50
     rows, edges = kept.rows[k], kept.edges[k]
@@ -190,9 +191,9 @@ def test_a_tube_gives_the_slopes_inside_it_and_only_there(loader):
 def test_a_guide_is_asked_where_the_first_bound_does_not_do(larger_cells, monkeypatch, gap, guided):
     plain, asked = lower_bounds.bound, []
 
-    def watched(kept, begin, clock, given=None, limit=np.inf, coarse=False, end=None):
+    def watched(kept, begin, clock, given, *others, **named):
         asked.append(given)
-        return plain(kept, begin, clock, given, limit, coarse, end)
+        return plain(kept, begin, clock, given, *others, **named)
 
     monkeypatch.setattr(lower_bounds, "bound", watched)
     proof = certify(load_task("forwarder-vertical", start="middle"), "cp", step=0.5, gap=gap, seconds=120.0)

@@ -12,8 +12,8 @@ import pytest
 import leanboom as lb
 from bundled_texts import edited, problems, written
 from command_line import leanboom
-from leanboom.certificate import certificate
-from leanboom.certificate.certificate import Certificate, certify
+from leanboom.certificate import lower_bounds, value_slopes
+from leanboom.certificate.certificate import certify
 from leanboom.components.pumps import EfficiencyMap
 from leanboom.errors import InputError, LeanboomError
 from leanboom.io.loading import dump_machine, dump_task
@@ -346,23 +346,20 @@ def test_a_start_that_the_cycle_cannot_come_back_to_is_named_with_its_leg():
 # Proofs, and on the way
 
 
-def test_the_bound_of_a_cycle_is_the_sum_of_those_of_its_legs_from_and_to_any_extension(plan, monkeypatch):
-    asked = []
-
-    def bounded(leg, pump, *, motion, step, seconds, gap, progress):
-        asked.append((leg.start, leg.end, leg.payload, seconds))
-        return Certificate(leg, pump, step, motion, 0.0, 1e4 * len(asked), 1.0, (), "", 2.0, None)
-
-    monkeypatch.setattr(certificate, "certify", bounded)
-    proof = certify(CYCLE, "cp", motion=plan.motion, step=0.2, seconds=8.0)
-    end = pytest.approx(plan.motion.position[-1])
-    assert asked == [("middle", "free", 0.0, 4.0), ("best", end, 250.0, 4.0)]
-    assert (proof.lower_bound_j, proof.certify_s, proof.processor_s) == (3e4, 2.0, 4.0)
-    assert proof.energy_j == pytest.approx(plan.evaluation.energy_cp, rel=0.02)
-    assert proof.json()["certify_reason"] == "each leg bounded from and to any extension"
-    asked.clear()
-    certify(replace(CYCLE, start="best"), "cp", motion=plan.motion, step=0.2, seconds=8.0)
-    assert [each[:2] for each in asked] == [("best", "free"), ("best", "free")]
+def test_a_cycle_is_bounded_as_a_whole(plan, monkeypatch):
+    """The bound and what the plan takes are of the same stages; the motion of the certificate is of the whole task."""
+    monkeypatch.setattr(value_slopes, "GRID", (101, 51))
+    monkeypatch.setattr(value_slopes, "TUBE", (51, 51))
+    closed, inner = [], lower_bounds.steeper
+    monkeypatch.setattr(lower_bounds, "steeper", lambda *given: closed.append(task.start) or inner(*given))
+    for task in (CYCLE, replace(CYCLE, start="best")):
+        proof = certify(task, "cp", motion=plan.motion, step=0.2, seconds=1.0, gap=5.0)
+        assert proof.levels and 0.0 < proof.lower_bound_j <= proof.energy_j
+        assert proof.energy_j == pytest.approx(plan.evaluation.energy_cp, rel=0.02)
+        assert proof.motion.duration == pytest.approx(task.duration)
+        assert proof.motion.position[[0, -1]] == pytest.approx(plan.motion.position[[0, -1]])
+        assert proof.json()["certify_levels"]
+    assert set(closed) == {"best"}  # where the start is given, so is the end
     with pytest.raises(InputError, match="motion = nothing; task cycle has legs, whose certificate needs the motion"):
         certify(CYCLE, "cp")
 

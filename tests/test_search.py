@@ -19,6 +19,7 @@ from leanboom.model.machine import Machine
 from leanboom.model.task import Lines, Task
 from leanboom.planning import planner
 from leanboom.problem import stages, starts
+from leanboom.problem.legs import Legs
 from leanboom.report import plan_page
 
 CASES = Path(__file__).parent / "cases"
@@ -106,7 +107,7 @@ def test_a_proof_takes_no_more_memory_than_there_is(monkeypatch):
     """Cells of an hour took 40 GiB: larger ones prove as much here, and where none fit nothing is proven."""
     problem = stages.discretise(moved(0.5), 0.05)
     needs = [
-        partition.memory_of(problem, partition.size(problem, "cp", times=times))
+        partition.memory_of(Legs((problem,)), partition.size(Legs((problem,)), "cp", times=times))
         for times in ((1, 1), *partition.COARSE)
     ]
     taken = []

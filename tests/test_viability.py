@@ -10,6 +10,7 @@ from leanboom import load_task
 from leanboom.certificate import partition, viability
 from leanboom.model.task import Lines
 from leanboom.problem import layout, stages
+from leanboom.problem.legs import Legs
 
 STEP, PUSH, LENGTH = 0.1, 0.5, 0.2  # of the sled [s], [m/s^2], [m]
 
@@ -22,7 +23,9 @@ def sled(rows: int, stages_: int) -> viability.Viable:
     cylinder[0, layout.A_MAX] = PUSH
     columns = [np.tile([-0.3, 0.3], (rows, 1)) for _ in range(stages_)]
     edges = (np.linspace(0.0, LENGTH, rows + 1),) * (stages_ + 1)
-    return viability.viable_velocities(viability.BINS * rows, edges, (model,) * stages_, columns, cylinder, STEP)
+    return viability.viable_velocities(
+        viability.BINS * rows, edges, (model,) * stages_, columns, cylinder, np.full(stages_, STEP)
+    )
 
 
 def room_to_stop(speed: float) -> float:
@@ -75,7 +78,7 @@ def test_no_random_motion_is_lost(rng):
     task = load_task("loader-triangle-small")
     path = Lines(((2.2, 0.0, 1.2), (2.3, 0.0, 1.25)), (1.5,))
     problem = stages.discretise(replace(task, path=path), 0.1)
-    viable = partition.whole(problem, "cp").viable
+    viable = partition.whole(Legs((problem,)), "cp").viable
     length = problem.upper - problem.lower
     seen, tightest = 0, np.inf
     for start in problem.lower[0] + length[0] * np.array([0.0, 0.02, 0.5, 0.98, 1.0]):

@@ -12,13 +12,14 @@ bound holds for motions on the threshold too.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from leanboom import compiling
 from leanboom.budget import Budget
 from leanboom.certificate import lower_bounds, refinement, upper_bound, value_slopes
 from leanboom.certificate.refinement import Course, Goal, Level, Outlook
+from leanboom.certificate.upper_bound import Measured
 from leanboom.components.costs import PUMPS
 from leanboom.dynamic_programming import value_function
 from leanboom.errors import InfeasibleError, InputError
@@ -29,10 +30,12 @@ from leanboom.model import motion as motions
 from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import stages, starts
+from leanboom.problem.legs import Legs, alone
+from leanboom.problem.stages import Problem
 from leanboom.progress import Progress
 from leanboom.quantities.ranges import STAGE, checked, noted, one_of
 
-BY_LEGS = "each leg bounded from and to any extension"
+HALVINGS = 2  # of a leg's stages at most
 SECONDS, GAP = 60.0, 0.5  # time for a proof [s] and gap at which it ends [%], by default
 
 
@@ -47,7 +50,7 @@ class Certificate:
     energy_j: float  # its energy there [J]
     lower_bound_j: float  # no motion takes less [J]
     certify_s: float  # time by the clock, planning not included [s]
-    levels: tuple[Level, ...]  # at least one; none of a task with legs
+    levels: tuple[Level, ...]  # at least one
     reason: str  # why bounding ended
     processor_s: float  # processor time of it, all threads together [s]
     more_time: Outlook | None  # None where time was not what bounding lacked
@@ -110,8 +113,8 @@ def certify(
     check(pump, step, seconds, gap)
     if not provable(task):
         raise InputError("pump.efficiency is a map; a certificate needs a constant efficiency")
-    if task.legs:
-        return _of_legs(task, pump, motion, step, seconds, gap, tell)
+    if task.legs and motion is None:
+        raise InputError(f"motion = nothing; task {task.name} has legs, whose certificate needs the motion of a plan")
     if motion is None:
         motion = _planned(task, pump, step, tell)
     tell("loading kernels of the bounds", 0.0)
@@ -121,61 +124,79 @@ def certify(
         lower_bounds.prepare()
         value_slopes.prepare()
     budget = Budget(seconds)
-    problem = stages.discretise(task, step)
-    start = starts.start_position(problem, task.start)
+    if abs(motion.duration - task.duration) > 1e-6 * task.duration:
+        raise InputError(f"motion takes {motion.duration:g} s; the task takes {task.duration:g} s")
+    tell("best motion of the discretised problem", 0.02)
+    legs, parts = _best_known(task, motion, pump, step)
+    start = starts.start_position(legs.problems[0], task.start)
     if start is not None and abs(motion.position[0] - start) > 1e-6:
         raise InputError(f"motion starts at {motion.position[0]:.4f} m; the task's start is {start:.4f} m")
-    if abs(motion.step * motion.acceleration.size - task.duration) > 1e-6 * task.duration:
-        raise InputError(
-            f"motion takes {motion.step * motion.acceleration.size:g} s; the task takes {task.duration:g} s"
-        )
-    tell("best motion of the discretised problem", 0.02)
-    known = upper_bound.measure(problem, stages.on_stages(problem, motion), pump)
-    best = upper_bound.improve(problem, known, pump, start is None and task.end != "same")
-    if not best.keeps_limits:
+    if not all(part.keeps_limits for part in parts):
+        longest = max(problem.step for problem in legs.problems)
         raise InfeasibleError(
-            f"the motion breaks a limit at the start of a stage of {problem.step:.4g} s: so long stages may be too "
+            f"the motion breaks a limit at the start of a stage of {longest:.4g} s: so long stages may be too "
             "coarse for this task; plan and certify with one step, and a shorter one"
         )
-    end = starts.end_position(problem, start)
-    course = Course(Goal(problem, pump, start, end, best, gap), budget, tell)
+    best = upper_bound.joined(parts)
+    end, closed = starts.end_position(legs.problems[-1], start), task.end == "same" and start is None
+    course = Course(Goal(legs, pump, start, end, best, gap, closed), budget, tell)
     levels = tuple(refinement.levels(course))
     tell("done", 1.0)
+    step = max(problem.step for problem in legs.problems)
     return Certificate(
-        task, pump, problem.step, best.motion, best.energy, course.lower, budget.gone, levels, course.reason,
+        task, pump, step, _whole(task, parts), best.energy, course.lower, budget.gone, levels, course.reason,
         budget.processor, course.outlook(levels) if course.reason == refinement.TIME_IS_OVER else None,
     )  # fmt: skip
 
 
-def _of_legs(
-    task: Task, pump: str, motion: Motion | None, step: float, seconds: float, gap: float, tell: Progress
-) -> Certificate:
-    """The certificate of a task with legs: the sum of bounds of its legs.
+def _best_known(task: Task, motion: Motion, pump: str, step: float) -> tuple[Legs, list[Measured]]:
+    """A task's discretised legs, and the best known motion of each, from where `motion` begins it to where it ends it.
 
-    Each leg is bounded from and to any extension, but for a given start or end of the whole. Whatever the extensions
-    between legs are, no leg takes less, so no cycle takes less than all of them; what the legs hand on to each other
-    is left out, so the gap is larger than that of one leg.
+    The motion of a path alone with a free start may move its start.
+
+    Args:
+        task: The task.
+        motion: A motion of the whole task.
+        pump: "ls" or "cp".
+        step: Length of a stage [s].
     """
-    if motion is None:
-        raise InputError(f"motion = nothing; task {task.name} has legs, whose certificate needs the motion of a plan")
-    if abs(motion.duration - task.duration) > 1e-6 * task.duration:
-        raise InputError(
-            f"motion takes {motion.duration:g} s; the task takes {task.duration:g} s: use that of the plan"
-        )
-    legs = [each for each in task.stretches if not each.waits]
-    lower = energy = clock = processor = 0.0
-    for i, each in enumerate(legs):
-        part = motions.between(motion, each.since, each.until)
-        start = task.start if i == 0 else "best"
-        end = task.end if i == len(legs) - 1 and task.end != "same" else "free"
-        if task.end == "same" and i == len(legs) - 1 and task.start != "best":
-            end = float(motion.position[-1])
-        leg = task.stretch(each, start, end)
-        proof = certify(leg, pump, motion=part, step=step, seconds=seconds / len(legs), gap=gap, progress=tell)
-        problem = stages.discretise(leg, step)
-        energy += upper_bound.measure(problem, stages.on_stages(problem, part), pump).energy
-        lower, clock, processor = lower + proof.lower_bound_j, clock + proof.certify_s, processor + proof.processor_s
-    return Certificate(task, pump, step, motion, energy, lower, clock, (), BY_LEGS, processor, None)
+    if not task.legs:
+        problem = stages.discretise(task, step)
+        known = upper_bound.measure(problem, starts.ended(problem, motion), pump)
+        free = task.start == "best" and task.end != "same"
+        return Legs((problem,)), [upper_bound.improve(problem, known, pump, free)]
+    moves = [each for each in task.stretches if not each.waits]
+    found = [
+        _best_leg(leg, motions.between(motion, each.since, each.until), pump, step, HALVINGS)
+        for leg, each in zip(alone(task), moves, strict=True)
+    ]
+    return Legs(tuple(problem for problem, _ in found)), [best for _, best in found]
+
+
+def _best_leg(leg: Task, part: Motion, pump: str, step: float, halvings: int) -> tuple[Problem, Measured]:
+    """A leg, discretised, and its best known motion between the ends of one.
+
+    Stages are halved where that keeps no limits on them: in a leg of the shortest time there may be no other motion.
+    """
+    problem = stages.discretise(leg, step)
+    pinned = replace(problem, task=replace(leg, start=float(part.position[0]), end=float(part.position[-1])))
+    known = upper_bound.measure(pinned, starts.ended(pinned, part), pump)
+    best = upper_bound.improve(pinned, known, pump, False)
+    if best.keeps_limits or not halvings:
+        return problem, best
+    return _best_leg(leg, part, pump, 0.5 * step, halvings - 1)
+
+
+def _whole(task: Task, parts: list[Measured]) -> Motion:
+    """The motion of a task made of those of its legs, at rest between them."""
+    if not task.legs:
+        return parts[0].motion
+    found = []
+    for each in task.stretches:
+        leg = parts[each.leg].motion
+        held = motions.held(float(leg.position[0]), each.until - each.since, leg.method, leg.cost)
+        found.append(held if each.waits else leg)
+    return motions.joined(found)
 
 
 def provable(task: Task) -> bool:

@@ -19,6 +19,7 @@ from leanboom.certificate.cell_enclosures import L_J, LATTICE, Stage
 from leanboom.certificate.partition import AT_REST, COARSE, Cells, bytes_of, made_of, memory_of, size, whole
 from leanboom.model.motion import Motion
 from leanboom.problem import layout
+from leanboom.problem.legs import Legs
 from leanboom.problem.stages import Problem
 
 SHARES = 8  # parts a thread takes of a stage: rows differ in work
@@ -59,10 +60,11 @@ def excludes_motion(problem: Problem, start: float | None) -> bool:
         start: Where the redundant cylinder starts [m]; None: anywhere.
     """
     room, sizes = resources.USABLE * resources.free_memory(), ((1, 1), *reversed(COARSE))
-    times = next((each for each in sizes if memory_of(problem, size(problem, "cp", times=each)) <= room), None)
+    legs = Legs((problem,))
+    times = next((each for each in sizes if memory_of(legs, size(legs, "cp", times=each)) <= room), None)
     if times is None:
         return False
-    cells = whole(problem, "cp", times=times)
+    cells = whole(legs, "cp", times=times)
     low, high = cells.viable.low[0], cells.viable.high[0]
     rests = (low <= 0.0) & (high >= 0.0)
     if start is None:
@@ -74,7 +76,7 @@ def excludes_motion(problem: Problem, start: float | None) -> bool:
 
 def bound(
     cells: Cells, start: float | None, check: Callable[[float], None], guide: GivenSlopes | None = None,
-    limit: float = np.inf, coarse: bool = False, end: float | None = None,
+    limit: float = np.inf, coarse: bool = False, end: float | None = None, multiplier: np.ndarray | None = None,
 ) -> Bounds:  # fmt: skip
     """Planes below the cost to go over all cells, by the backward pass.
 
@@ -86,12 +88,14 @@ def bound(
         limit: Energy beyond which motions are of no interest, and not bounded [J].
         coarse: Without a guide, every plane gets a floor. It pays where cells are large.
         end: Where motions end, at rest [m]; None: anywhere feasible.
+        multiplier: Where motions end where they start: extensions [m], rising, and at most 0 J each, linear in
+            between, (2, any number). It is paid at the end and gained at the start, so it costs them nothing.
 
     Returns:
         The bounds.
     """
-    n = cells.problem.stages
-    planes: list[np.ndarray] = [np.empty(0)] * n + [_at_end(cells.rows[n], end)]
+    n, bottom = cells.legs.stages, 0.0 if multiplier is None else float(multiplier[1].min())
+    planes: list[np.ndarray] = [np.empty(0)] * n + [_at_end(cells.rows[n], end, multiplier, cells.rows[0])]
     with _Pool(cells) as pool:
         given = pool.later(guide, n - 1)
         for k in range(n - 1, -1, -1):
@@ -99,14 +103,14 @@ def bound(
             here, given = given, pool.later(guide, k - 1)
             ahead = planes[k + 1]
             if here is not None:
-                planes[k] = _guided(pool, k, ahead, here.result())
+                planes[k] = _guided(pool, k, ahead, here.result(), bottom)
             elif coarse:
-                planes[k] = _guided(pool, k, ahead, _differences(pool, k, ahead)[1])
+                planes[k] = _guided(pool, k, ahead, _differences(pool, k, ahead)[1], bottom)
             else:
-                planes[k] = _planes(pool, k, ahead)
+                planes[k] = _planes(pool, k, ahead, bottom)
             least = np.maximum(planes[k][..., 0] - _rise(cells, k, planes[k]), planes[k][..., 3])
             planes[k][cells.active[k] + least > limit, 0] = np.inf
-    return Bounds(cells, tuple(planes), _at_start(cells, planes[0], start))
+    return Bounds(cells, tuple(planes), _at_start(cells, planes[0], start, multiplier))
 
 
 def _rise(cells: Cells, k: int, planes: np.ndarray) -> np.ndarray:
@@ -123,17 +127,21 @@ def _differences(pool: _Pool, k: int, ahead: np.ndarray) -> tuple[np.ndarray, np
     return middle, np.stack(along, axis=-1)
 
 
-def _planes(pool: _Pool, k: int, ahead: np.ndarray) -> np.ndarray:
-    """Planes sloped as bounds of neighbours differ, with zero slope next to infeasible cells, where the value jumps."""
+def _planes(pool: _Pool, k: int, ahead: np.ndarray, bottom: float) -> np.ndarray:
+    """Planes sloped as bounds of neighbours differ, with zero slope next to infeasible cells, where the value jumps.
+
+    No cost to go is below `bottom` [J].
+    """
     cells, active = pool.cells, pool.cells.active[k]
     here = np.zeros((*active.shape, 4))
     middle, here[..., 1:3] = _differences(pool, k, ahead)
+    here[..., 3] = bottom
     level = pool.backward(k, active, here, ahead)
     with np.errstate(invalid="ignore"):
         bent = np.isfinite(level) & ~(middle - level <= MOST_LOST * _rise(cells, k, here))
     if bent.any():
         flat = pool.backward(k, np.where(bent, 0.0, np.inf), np.zeros_like(here), ahead)
-        here[..., 3] = np.where(bent, np.maximum(flat, 0.0), 0.0)
+        here[..., 3] = np.where(bent, np.maximum(flat, bottom), bottom)
         better = bent & (flat > level)
         here[better, 1:3] = 0.0
         level = np.where(better, flat, level)
@@ -141,14 +149,14 @@ def _planes(pool: _Pool, k: int, ahead: np.ndarray) -> np.ndarray:
     return here
 
 
-def _guided(pool: _Pool, k: int, ahead: np.ndarray, given: np.ndarray) -> np.ndarray:
-    """Planes of a stage with given slopes, (rows, columns, 2), and a floor to each."""
+def _guided(pool: _Pool, k: int, ahead: np.ndarray, given: np.ndarray, bottom: float) -> np.ndarray:
+    """Planes of a stage with given slopes, (rows, columns, 2), and a floor to each, not below `bottom` [J]."""
     active = pool.cells.active[k]
     here = np.zeros((*active.shape, 4))
     here[..., 1:3] = np.where(np.isfinite(given), given, 0.0)  # nan would pass for a state without motions
     floors = np.full(active.shape, np.inf)
     here[..., 0] = pool.backward(k, active, here, ahead, floors=floors)
-    here[..., 3] = np.where(np.isfinite(here[..., 0]), np.maximum(floors, 0.0), 0.0)
+    here[..., 3] = np.where(np.isfinite(here[..., 0]), np.maximum(floors, bottom), bottom)
     return here
 
 
@@ -187,16 +195,39 @@ def slopes(values: np.ndarray, axis: int, at: np.ndarray) -> np.ndarray:
     return np.swapaxes(rise, 0, axis)
 
 
-def _at_end(rows: np.ndarray, end: float | None) -> np.ndarray:
-    """Planes over the last stage's cells, (rows, 1, 4): zero where motions may end, else inf."""
+def _at_end(rows: np.ndarray, end: float | None, multiplier: np.ndarray | None, first_rows: np.ndarray) -> np.ndarray:
+    """Planes over the last stage's cells, (rows, 1, 4): below what ending there costs, inf where none may.
+
+    With a multiplier motions end where they start: within the rows of the first stage, `first_rows`.
+    """
     planes = np.zeros((rows.size - 1, 1, 4))
+    if multiplier is not None:
+        first, last = (np.interp(edges, *multiplier) for edges in (rows[:-1], rows[1:]))
+        slope, level, floor = (last - first) / np.diff(rows), 0.5 * (first + last), np.minimum(first, last)
+        row, at, cost = _within_rows(multiplier, rows)
+        np.minimum.at(level, row, cost - slope[row] * (at - position_rows.middles(rows)[row]))
+        np.minimum.at(floor, row, cost)
+        off = cell_enclosures.ON_LIMIT * np.abs(np.diff(multiplier[1]) / np.diff(multiplier[0])).max()
+        planes[:, 0, 0], planes[:, 0, 1] = level - 2.0 * off, slope  # rows overlap a little
+        planes[:, 0, 3] = np.maximum(floor - off, multiplier[1].min())
+        planes[_beside(rows, float(first_rows[0]), float(first_rows[-1])), 0, 0] = np.inf
     if end is not None:
-        elsewhere = (end < rows[:-1] - cell_enclosures.ON_LIMIT) | (end > rows[1:] + cell_enclosures.ON_LIMIT)
-        planes[elsewhere, 0, 0] = np.inf
+        planes[_beside(rows, end, end), 0, 0] = np.inf
     return planes
 
 
-def _at_start(cells: Cells, planes: np.ndarray, start: float | None) -> np.ndarray:
+def _beside(rows: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Mask of the rows that hold no position from `low` to `high` [m]."""
+    return (high < rows[:-1] - cell_enclosures.ON_LIMIT) | (low > rows[1:] + cell_enclosures.ON_LIMIT)
+
+
+def _within_rows(multiplier: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows that extensions of a multiplier are in, these extensions [m], and its values there [J]."""
+    at, cost = multiplier[:, (multiplier[0] > rows[0]) & (multiplier[0] < rows[-1])]
+    return np.searchsorted(rows, at) - 1, at, cost
+
+
+def _at_start(cells: Cells, planes: np.ndarray, start: float | None, multiplier: np.ndarray | None) -> np.ndarray:
     """Least value over the start states of each cell of stage 0, inf where a cell holds none."""
     rows = cells.rows[0]
     half, middle = 0.5 * np.diff(rows), position_rows.middles(rows)
@@ -207,11 +238,41 @@ def _at_start(cells: Cells, planes: np.ndarray, start: float | None) -> np.ndarr
     else:
         low = high = start - middle
         inside = np.abs(low) <= half + cell_enclosures.ON_LIMIT
-    value = planes[..., 0] + planes[..., 2] * off
-    value = value + np.minimum(planes[..., 1] * low[:, None], planes[..., 1] * high[:, None])
-    value = np.maximum(value, np.where(np.isfinite(planes[..., 0]), planes[..., 3], np.inf))
-    at_rest = np.abs(off) <= 0.5 * np.diff(cells.edges[0], axis=1) + ON_EDGE
-    return np.where(inside[:, None] & at_rest, value, np.inf)
+    at_rest, slope = planes[..., 0] + planes[..., 2] * off, planes[..., 1]
+    gained = np.zeros((2, middle.size))
+    if multiplier is not None:
+        gained = np.interp(middle + np.stack([low, high]), *multiplier)
+    value = at_rest + np.minimum(slope * low[:, None] - gained[0][:, None], slope * high[:, None] - gained[1][:, None])
+    most = gained.max(axis=0)
+    if multiplier is not None:
+        row, at, cost = _within_rows(multiplier, rows)
+        np.minimum.at(value, row, at_rest[row] + slope[row] * (at - middle[row])[:, None] - cost[:, None])
+        np.maximum.at(most, row, cost)
+    value = np.maximum(value, np.where(np.isfinite(planes[..., 0]), planes[..., 3] - most[:, None], np.inf))
+    holds = np.abs(off) <= 0.5 * np.diff(cells.edges[0], axis=1) + ON_EDGE
+    return np.where(inside[:, None] & holds, value, np.inf)
+
+
+def steeper(found: Bounds, before: np.ndarray) -> np.ndarray:
+    """The multiplier that bounds suggest: the cost to go from rest where motions start, which pays for itself.
+
+    With the true cost to go as a multiplier no bound is lower than without (`docs/certificate.md`). It is nowhere
+    above the one before: what motions up to a cell have taken, start included, then still holds.
+
+    Args:
+        found: The bounds.
+        before: The multiplier with which they were found.
+    """
+    cells, planes = found.cells, found.planes[0]
+    rest = np.maximum(planes[..., 0] - planes[..., 2] * cells.middles(0), planes[..., 3])
+    least = np.where(np.isfinite(found.start), rest, np.inf).min(axis=1)
+    some = np.isfinite(least)
+    if some.sum() < 2:  # no line in between
+        return before
+    at = position_rows.middles(cells.rows[0])[some]
+    every = np.union1d(at, before[0])
+    raised = np.interp(every, at, least[some]) - np.interp(every, *before)
+    return np.stack([at, least[some] - max(float(raised.max()), float(least[some].max()))])
 
 
 def reach(found: Bounds, limit: float, check: Callable[[float], None]) -> tuple[np.ndarray, ...]:
@@ -228,8 +289,8 @@ def reach(found: Bounds, limit: float, check: Callable[[float], None]) -> tuple[
     cells, room = found.cells, limit - found.lower
     excess = [np.where(found.start <= limit, found.start - found.lower, np.inf)]
     with _Pool(cells) as pool:
-        for k in range(cells.problem.stages - 1):
-            check((k + 1) / cells.problem.stages)
+        for k in range(cells.legs.stages - 1):
+            check((k + 1) / cells.legs.stages)
             excess.append(pool.forward(k, room, excess[-1], found.planes[k], found.planes[k + 1]))
     return tuple(excess)
 
@@ -243,7 +304,7 @@ def refine(found: Bounds, excess: tuple[np.ndarray, ...], rows_too: bool = True)
         rows_too: Whether rows are halved as well.
     """
     cells = found.cells
-    n = cells.problem.stages
+    n = cells.legs.stages
     corner, counts, finer_rows = np.zeros(n, dtype=int), np.zeros(n, dtype=int), []
     cut = position_rows.halved if rows_too else np.copy
     for k, reached in enumerate(excess):
@@ -258,7 +319,7 @@ def refine(found: Bounds, excess: tuple[np.ndarray, ...], rows_too: bool = True)
         corner[k], counts[k] = 2 * first, 2 * (last - first + 1)
     finer_rows.append(cut(cells.rows[n]))
     size = (2 if rows_too else 1) * cells.positions, 2 * cells.velocities
-    finer = made_of(cells.problem, cells.cost, *size, finer_rows, counts, corner, cells.viable)
+    finer = made_of(cells.legs, cells.cost, *size, finer_rows, counts, corner, cells.viable)
     for k, reached in enumerate(excess):
         cell_enclosures.hand_down(
             cells.rows[k], cells.edges[k], cells.lattice[k], found.planes[k], found.lower + reached, finer.rows[k],
@@ -276,8 +337,8 @@ def memory(cells: Cells, excess: tuple[np.ndarray, ...]) -> float:
 
 def value_at(found: Bounds, k: int, position: float, velocity: float) -> float:
     """Lower bound of the cost to go from a state [J]: the least of the cells it lies in; inf where there is none."""
-    if k == found.cells.problem.stages:
-        return 0.0 if abs(velocity) < AT_REST else np.inf
+    if k == found.cells.legs.stages and abs(velocity) < AT_REST:
+        velocity = 0.0
     planes, edges, rows = found.planes[k], found.cells.edges[k], found.cells.rows[k]
     least = np.inf
     touched = (rows[:-1] - cell_enclosures.ON_LIMIT <= position) & (position <= rows[1:] + cell_enclosures.ON_LIMIT)
@@ -317,7 +378,7 @@ def prepare() -> None:
     cell_enclosures.velocity_columns(model, cylinder, columns)
     cell_enclosures.place_edges(model, setting, lattice, np.zeros((1, 2)))
     cell_enclosures.hand_down(rows, columns, lattice, planes, one, rows, columns, lattice, one)
-    viability.viable_velocities(1, (rows, rows), (model,), [columns], cylinder, 1.0)
+    viability.viable_velocities(1, (rows, rows), (model,), [columns], cylinder, np.ones(1))
     stage = Stage(model, rows, columns, columns, lattice, rows, columns, columns, np.zeros(2), cylinder, setting)
     bellman_bounds.backward(stage, 0, 1, False, one, planes, planes, one, NO_FLOORS)
     bellman_bounds.forward(stage, 0, 1, 0.0, one, planes, planes, one)

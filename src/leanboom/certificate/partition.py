@@ -15,11 +15,13 @@ from leanboom.certificate.viability import Viable
 from leanboom.evaluation.limit_checks import TOLERANCE
 from leanboom.model.motion import Motion
 from leanboom.problem import layout, stage_arrays
+from leanboom.problem.legs import Legs, one_after_another
 from leanboom.problem.stages import Problem
 
 VELOCITY = 0.01  # [m/s], largest height of a cell of the first level
 COARSE = ((16, 8), (8, 4), (4, 2))  # how many times wider and higher cells are where time is short
 AT_REST = 1e-6  # [m/s], velocity below which a motion ends at rest
+REST = 1e-10  # [m/s], velocity up to which a leg begins at rest
 FLOW_STRIPS = 256  # parts of the velocity range, in each of which the pump's flow is enclosed
 
 
@@ -27,7 +29,7 @@ FLOW_STRIPS = 256  # parts of the velocity range, in each of which the pump's fl
 class Cells:
     """The cells of every stage; arrays of a stage cover a window of its lattice."""
 
-    problem: Problem
+    legs: Legs
     cost: str
     positions: int  # rows between the ends of a stage's feasible extensions, narrower ones apart
     velocities: np.ndarray  # cells between the limits of the redundant cylinder's velocity, (stages,)
@@ -39,7 +41,7 @@ class Cells:
     columns: tuple[np.ndarray, ...]  # admissible velocities of each row [m/s], (rows, 2) a stage and the end
     fixed: np.ndarray  # pump flow [m^3/s] and pressure [Pa] of path-determined cylinders, (stages + 1, 2)
     cylinder: np.ndarray  # (moving, layout.CYLINDER_COLUMNS)
-    setting: np.ndarray  # (layout.SETTINGS,)
+    setting: np.ndarray  # (stages, layout.SETTINGS)
     viable: Viable  # velocities from which motions can go on within the limits
 
     @property
@@ -51,7 +53,7 @@ class Cells:
         """The arrays of a stage and the next one that kernels take."""
         return Stage(
             self.model[k], self.rows[k], self.edges[k], self.columns[k], self.lattice[k + 1], self.rows[k + 1],
-            self.edges[k + 1], self.columns[k + 1], self.fixed[k], self.cylinder, self.setting,
+            self.edges[k + 1], self.columns[k + 1], self.fixed[k], self.cylinder, self.setting[k],
         )  # fmt: skip
 
     def middles(self, k: int) -> np.ndarray:
@@ -60,7 +62,7 @@ class Cells:
 
     def share(self, k: int, position: np.ndarray) -> np.ndarray:
         """Positions [m] as shares of a stage's feasible extensions."""
-        lower, upper = self.problem.lower[k], self.problem.upper[k]
+        lower, upper = self.legs.lower[k], self.legs.upper[k]
         return (position - lower) / max(upper - lower, position_rows.LEAST_RANGE)
 
 
@@ -79,42 +81,41 @@ class Size:
         return sum((edges.size - 1) * int(each) for edges, each in zip(self.rows[:-1], self.velocities, strict=True))
 
 
-def size(problem: Problem, cost: str, beside: Motion | None = None, times: tuple[int, int] = (1, 1)) -> Size:
+def size(legs: Legs, cost: str, beside: Motion | None = None, times: tuple[int, int] = (1, 1)) -> Size:
     """The `Size` of cells over all feasible extensions and velocities of every stage, on the first level or coarser.
 
     Args:
-        problem: The discretised task.
+        legs: The discretised task.
         cost: "ls" or "cp".
-        beside: A motion near which rows are narrower.
+        beside: A motion on all stages, near which rows are narrower.
         times: How many times wider and higher cells are than those of the first level.
     """
     wider, higher = times
     coarse = wider > 1
-    limit = problem.crane.machine.redundant.velocity_limit
-    positions = max(2, int(np.ceil(np.max(problem.upper - problem.lower) / (wider * position_rows.POSITION))))
+    positions = max(2, int(np.ceil(np.max(legs.upper - legs.lower) / (wider * position_rows.POSITION))))
     narrower, lower = position_rows.FINER[cost]
-    rows = [position_rows.whole(problem, k, positions, beside, narrower, coarse) for k in range(problem.stages + 1)]
-    velocities = np.full(problem.stages, 2 * int(np.ceil(limit / (higher * VELOCITY))))
+    rows = [position_rows.whole(legs, k, positions, beside, narrower, coarse) for k in range(legs.stages + 1)]
+    velocities = np.full(legs.stages, 2 * int(np.ceil(legs.velocity_limit / (higher * VELOCITY))))
     if beside is not None:
-        velocities[position_rows.from_end(problem, slice(-1), beside.position[:-1]) < position_rows.NEAR_END] *= lower
+        velocities[position_rows.from_end(legs, slice(-1), beside.position[:-1]) < position_rows.NEAR_END] *= lower
     return Size(positions, velocities, rows, (position_rows.OUTERMOST if coarse else viability.BINS) * positions)
 
 
-def whole(problem: Problem, cost: str, beside: Motion | None = None, times: tuple[int, int] = (1, 1)) -> Cells:
+def whole(legs: Legs, cost: str, beside: Motion | None = None, times: tuple[int, int] = (1, 1)) -> Cells:
     """The cells of all feasible extensions and all velocities of every stage; arguments as in `size`."""
-    cut = size(problem, cost, beside, times)
-    corner = np.zeros(problem.stages, dtype=int)
-    return made_of(problem, cost, cut.positions, cut.velocities, cut.rows, cut.velocities, corner, cut.bins)
+    cut = size(legs, cost, beside, times)
+    corner = np.zeros(legs.stages, dtype=int)
+    return made_of(legs, cost, cut.positions, cut.velocities, cut.rows, cut.velocities, corner, cut.bins)
 
 
 def made_of(
-    problem: Problem, cost: str, positions: int, velocities: np.ndarray, rows: list[np.ndarray], counts: np.ndarray,
+    legs: Legs, cost: str, positions: int, velocities: np.ndarray, rows: list[np.ndarray], counts: np.ndarray,
     corner: np.ndarray, viable: Viable | int,
 ) -> Cells:  # fmt: skip
     """Cells of a resolution, all active.
 
     Args:
-        problem: The discretised task.
+        legs: The discretised task.
         cost: A name of `costs.COSTS`.
         positions, velocities: Rows of a whole stage, narrower ones apart, and columns, (stages,).
         rows: Edges of the rows of every stage's window and of the end [m].
@@ -122,31 +123,39 @@ def made_of(
         corner: First column of the windows, (stages,).
         viable: Viable velocities; or the number of bins to look for them in, on windows that are whole stages.
     """
-    limit = problem.crane.machine.redundant.velocity_limit
-    n = problem.stages
+    limit, n, first = legs.velocity_limit, legs.stages, legs.problems[0]
     lattice = np.zeros((n + 1, LATTICE))
     lattice[:n, L_W] = -limit
     lattice[:n, L_DW] = 2.0 * limit / velocities
     lattice[:n, L_J] = corner
-    cylinder = stage_arrays.cylinder_table(problem, cost)
-    setting = stage_arrays.setting(problem, cost, (0.0, 0.0, 0.0, 0.0, 0.0), share=1.0)
-    model = position_rows.enclosures(problem, rows[:n])
-    most = stage_arrays.most_flow(problem) + (TOLERANCE - 1.0) * problem.crane.machine.pump.max_flow
+    cylinder = stage_arrays.cylinder_table(first, cost)
+    scalars = [stage_arrays.setting(each, cost, (0.0, 0.0, 0.0, 0.0, 0.0), share=1.0) for each in legs.problems]
+    setting = np.repeat(scalars, np.diff(legs.firsts), axis=0)
+    model = tuple(
+        stage
+        for i, each in enumerate(legs.problems)
+        for stage in position_rows.enclosures(each, rows[legs.firsts[i] : legs.firsts[i + 1]])
+    )
+    most = one_after_another([stage_arrays.most_flow(each) for each in legs.problems])
+    most = most + (TOLERANCE - 1.0) * first.crane.machine.pump.max_flow
     columns = [np.tile([-limit, limit], (edges.size - 1, 1)) for edges in rows]
     edges = [np.zeros((stage.shape[0], count + 1)) for stage, count in zip(model, counts, strict=True)]
     for k, stage in enumerate(model):
         cell_enclosures.velocity_columns(stage, cylinder, columns[k])
-        if problem.task.limits.pump_flow:
+        if first.task.limits.pump_flow:
             columns[k] = flow_columns(stage, cylinder, float(most[k]), columns[k])
-        cell_enclosures.place_edges(stage, setting, lattice[k], edges[k])
+        cell_enclosures.place_edges(stage, setting[k], lattice[k], edges[k])
     edges.append(np.zeros((rows[n].size - 1, 2)))
+    for k in legs.firsts[:-1].tolist():  # where legs begin the cylinder rests, up to the rounding of lattices
+        np.clip(columns[k], -REST, REST, out=columns[k])
     columns[n] = np.zeros((rows[n].size - 1, 2))  # the end: at rest
     if isinstance(viable, int):
-        viable = viability.viable_velocities(viable, tuple(rows), model, columns, cylinder, problem.step)
+        viable = viability.viable_velocities(viable, tuple(rows), model, columns, cylinder, setting[:, layout.STEP])
     cells = Cells(
-        problem, cost, positions, velocities, lattice,
+        legs, cost, positions, velocities, lattice,
         tuple(np.zeros((stage.shape[0], count)) for stage, count in zip(model, counts, strict=True)), model,
-        tuple(rows), tuple(edges), tuple(columns), _fixed(problem, cost), cylinder, setting, viable,
+        tuple(rows), tuple(edges), tuple(columns),
+        one_after_another([_fixed(each, cost) for each in legs.problems]), cylinder, setting, viable,
     )  # fmt: skip
     for k in range(n):
         share = cells.share(k, rows[k])
@@ -187,10 +196,11 @@ def _fixed(problem: Problem, cost: str) -> np.ndarray:
     return np.stack([flow, pressure], axis=1)
 
 
-def memory_of(problem: Problem, cut: Size) -> float:
+def memory_of(legs: Legs, cut: Size) -> float:
     """Bytes that bounding whole stages takes."""
     rows = sum(edges.size - 1 for edges in cut.rows[:-1])
-    return bytes_of(cut.count, rows, len(range(len(problem.crane.machine.cylinders))[problem.moving]))
+    first = legs.problems[0]
+    return bytes_of(cut.count, rows, len(range(len(first.crane.machine.cylinders))[first.moving]))
 
 
 def bytes_of(count: int, rows: int, moving: int) -> float:

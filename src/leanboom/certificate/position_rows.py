@@ -13,6 +13,7 @@ from leanboom.certificate.taylor_model import Enclosure
 from leanboom.model import crane as cranes
 from leanboom.model.motion import Motion
 from leanboom.problem import layout
+from leanboom.problem.legs import Legs
 from leanboom.problem.stages import Problem
 
 POSITION = 0.006  # [m], largest width of a row of the first level
@@ -26,27 +27,25 @@ AT_ONCE = 8192  # rows enclosed together: what their formulas need in between st
 UNKNOWN = 1e30  # error of a coefficient that cannot be enclosed over a cell
 
 
-def from_end(problem: Problem, k: int | slice, position: np.ndarray) -> np.ndarray:
+def from_end(legs: Legs, k: int | slice, position: np.ndarray) -> np.ndarray:
     """Distances of positions from the next end of their stage's feasible extensions [m]."""
-    return np.minimum(position - problem.lower[k], problem.upper[k] - position)
+    return np.minimum(position - legs.lower[k], legs.upper[k] - position)
 
 
-def whole(
-    problem: Problem, k: int, positions: int, beside: Motion | None, narrower: int, ends: bool = False
-) -> np.ndarray:
+def whole(legs: Legs, k: int, positions: int, beside: Motion | None, narrower: int, ends: bool = False) -> np.ndarray:
     """Edges of the rows of a whole stage [m]: `positions` equal ones, those near the motion cut `narrower`.
 
     Where `ends` is set, rows at both ends are halved toward the end, down to an `OUTERMOST`-th.
     """
-    low, high = problem.lower[k], max(problem.upper[k], problem.lower[k] + LEAST_RANGE)
+    low, high = legs.lower[k], max(legs.upper[k], legs.lower[k] + LEAST_RANGE)
     edges = np.arange(positions * NARROWEST + 1)
     middle = low + (high - low) * (np.arange(positions + 1) + 0.5) / positions
     parts = np.ones(positions + 1, dtype=int)
     if beside is not None:
         near = np.abs(middle - beside.position[k]) < NEAR_MOTION
         parts[near] = narrower
-        if from_end(problem, k, beside.position[k]) < NEAR_END:
-            parts[near & (from_end(problem, k, middle) < NEAR_END)] = NARROWEST
+        if from_end(legs, k, beside.position[k]) < NEAR_END:
+            parts[near & (from_end(legs, k, middle) < NEAR_END)] = NARROWEST
     edges = edges[edges % (NARROWEST // parts[edges // NARROWEST]) == 0]
     parted = NARROWEST
     if ends:

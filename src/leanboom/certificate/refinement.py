@@ -17,9 +17,10 @@ from leanboom.budget import Budget
 from leanboom.certificate import lower_bounds, partition, value_slopes
 from leanboom.certificate.lower_bounds import Bounds, OutOfTime
 from leanboom.certificate.partition import Cells
+from leanboom.certificate.position_rows import LEAST_RANGE
 from leanboom.certificate.upper_bound import Measured
 from leanboom.errors import InfeasibleError, LeanboomError
-from leanboom.problem.stages import Problem
+from leanboom.problem.legs import Legs
 from leanboom.progress import Progress
 
 ROUNDING = 1e-9  # share of the bound that covers the rounding of floating-point numbers
@@ -63,12 +64,13 @@ class Outlook:
 class Goal:
     """The gap to prove between the best known motion of a discretised problem and the best possible one."""
 
-    problem: Problem
+    legs: Legs
     pump: str
     start: float | None  # of the redundant cylinder [m]; None: anywhere feasible
     end: float | None  # likewise
-    best: Measured
+    best: Measured  # on the stages of all legs
     gap: float  # [%]
+    closed: bool = False  # whether motions end where they start, wherever that is
 
     @property
     def enough(self) -> float:
@@ -77,7 +79,7 @@ class Goal:
 
     def cells(self, times: tuple[int, int]) -> Cells:
         """Cells of whole stages; arguments as in `partition.size`."""
-        return partition.whole(self.problem, self.pump, self.best.motion, times)
+        return partition.whole(self.legs, self.pump, self.best.motion, times)
 
     def check(self, found: Bounds, whole: bool) -> None:
         """Refuse a bound that cannot be right; `whole` says that no motion leaves the cells."""
@@ -105,11 +107,33 @@ class Course:
     under_way: tuple[int, int] = (0, 0)  # its cells: of a stage, and all looked at; 0 while not known
     coarse: list[tuple[int, int]] = field(default_factory=list)  # how coarse the coarse levels were
     reason: str = ""  # why it ended
+    multiplier: np.ndarray | None = None  # where motions close, as `lower_bounds.bound` has it
+
+    def __post_init__(self) -> None:
+        if self.goal.closed:
+            legs = self.goal.legs
+            self.multiplier = np.array([[legs.lower[0], max(legs.upper[0], legs.lower[0] + LEAST_RANGE)], [0.0, 0.0]])
 
     @property
     def gap(self) -> float:
         """Gap that is proven [%]."""
         return gap_between(self.goal.best.energy, self.lower)
+
+    def bound(
+        self, kept: Cells, check: Callable[[float], None], guide: lower_bounds.GivenSlopes | None = None,
+        limit: float = np.inf, coarse: bool = False,
+    ) -> Bounds:  # fmt: skip
+        """Bounds over cells; arguments as in `lower_bounds.bound`.
+
+        Of closed motions each pass tells the next ones which multiplier to take.
+        """
+        goal = self.goal
+        found = lower_bounds.bound(
+            kept, goal.start, check, guide, limit, coarse, end=goal.end, multiplier=self.multiplier
+        )
+        if self.multiplier is not None:
+            self.multiplier = lower_bounds.steeper(found, self.multiplier)
+        return found
 
     def clock(self, share: float = 0.0, *, name: str = "") -> None:
         """The check of a pass over cells: it raises OutOfTime when the time is over."""
@@ -165,7 +189,10 @@ def coarse_level(course: Course, times: tuple[int, int], hurry: bool) -> tuple[B
     """A level of coarse cells, finished whatever the time unless `hurry` is set."""
     goal, kept = course.goal, course.goal.cells(times)
     clock = course.begin(kept)
-    found = lower_bounds.bound(kept, goal.start, clock if hurry else lambda share: None, coarse=True, end=goal.end)
+    check = clock if hurry else lambda share: None
+    found = course.bound(kept, check, coarse=True)
+    if times == partition.COARSE[0] and goal.closed:  # so soon that another pass costs next to nothing
+        found = max(found, course.bound(kept, check, coarse=True), key=lambda each: each.lower)
     goal.check(found, True)
     course.coarse.append(times)
     return found, course.level(_size(kept), kept.count, min(found.lower, goal.best.energy))
@@ -174,9 +201,9 @@ def coarse_level(course: Course, times: tuple[int, int], hurry: bool) -> tuple[B
 def _finer_levels(course: Course, found: Bounds) -> Iterator[Level]:
     """Levels from the bounds of the coarsest one on; raises OutOfTime."""
     goal, budget, whole, kept = course.goal, course.budget, False, None
-    problem, best = goal.problem, goal.best
-    sizes = {times: partition.size(problem, goal.pump, best.motion, times) for times in (FINEST, *partition.COARSE[1:])}
-    needed = {times: (size.count, partition.memory_of(problem, size)) for times, size in sizes.items()}
+    legs, best = goal.legs, goal.best
+    sizes = {times: partition.size(legs, goal.pump, best.motion, times) for times in (FINEST, *partition.COARSE[1:])}
+    needed = {times: (size.count, partition.memory_of(legs, size)) for times, size in sizes.items()}
     times = finest_in_time(needed, course.rate, budget.seconds - budget.spent, room())
     if times == FINEST:
         kept, whole = goal.cells(FINEST), True
@@ -185,8 +212,9 @@ def _finer_levels(course: Course, found: Bounds) -> Iterator[Level]:
         yield level
     viable, coarse = (kept or found.cells).viable, kept is None
     guides: list[Callable[[], lower_bounds.GivenSlopes | None]] = [lambda: None]
-    if value_slopes.memory(problem) < room():
-        guides.append(cache(lambda: value_slopes.make(problem, goal.pump, viable, best.motion).slopes))
+    if value_slopes.memory(legs) < room():
+        given = legs, goal.pump, viable, best.motion, goal.end
+        guides.append(cache(lambda: value_slopes.make(*given, course.multiplier).slopes))
     expected = (0.0,) * len(guides)
     while course.gap > goal.gap:
         if kept is None:
@@ -205,7 +233,7 @@ def _finer_levels(course: Course, found: Bounds) -> Iterator[Level]:
         clock, limit = course.begin(kept), np.inf if whole else goal.enough
 
         def bound(way: int, kept: Cells = kept, clock=clock, limit: float = limit) -> Bounds:
-            return lower_bounds.bound(kept, goal.start, clock, guides[way](), limit, coarse and way == 0, goal.end)
+            return course.bound(kept, clock, guides[way](), limit, coarse and way == 0)
 
         found, expected = tightest(bound, expected, best.energy, goal.gap)
         goal.check(found, whole)

@@ -8,6 +8,7 @@ stages may, is polished there, which keeps all of them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from leanboom.fixed_mode import modes
 from leanboom.fixed_mode.modes import Polisher
 from leanboom.model import cost_rates
 from leanboom.model import crane as cranes
+from leanboom.model import motion as motions
 from leanboom.model.motion import Motion
 from leanboom.model.pump_flow import pump_flow
 from leanboom.problem import feasible_strokes, stage_arrays, starts
@@ -40,6 +42,12 @@ class Measured:
     def energy(self) -> float:
         """Sum of the stages' energies [J]."""
         return float(self.costs.sum())
+
+
+def joined(parts: Sequence[Measured]) -> Measured:
+    """Motions of legs, one after the other, as one on all their stages."""
+    motion = motions.joined([part.motion for part in parts])
+    return Measured(motion, np.concatenate([part.costs for part in parts]), all(part.keeps_limits for part in parts))
 
 
 def measure(problem: Problem, candidate: Motion, pump: str) -> Measured:

@@ -42,7 +42,6 @@ from leanboom.dynamic_programming.bellman import interpolate, layer, within
 from leanboom.dynamic_programming.grids import Grid
 from leanboom.dynamic_programming.value_function import Policy
 from leanboom.model.motion import Motion
-from leanboom.problem import starts
 from leanboom.problem.layout import (
     AREA_IN,
     AREA_OUT,
@@ -55,7 +54,7 @@ from leanboom.problem.layout import (
     STAGE_COLUMNS,
     STEP,
 )
-from leanboom.problem.stages import Problem
+from leanboom.problem.legs import Legs
 
 GRID = (801, 201)  # positions and velocities of a policy over everything feasible
 TUBE = (201, 321)  # of a policy around the best known motion
@@ -79,8 +78,9 @@ class Envelope(NamedTuple):
 class Guide:
     """DP value functions and the viable set; near non-viable states values contain penalty terms and are not used."""
 
-    policies: tuple[Policy, ...]  # ever finer and narrower; the first knows every feasible state
+    policies: tuple[tuple[Policy, ...], ...]  # of each leg, ever finer and narrower; the first knows every state
     viable: Viable
+    closes: bool  # whether where motions end costs something
     envelopes: dict[tuple[int, int], Envelope] = field(default_factory=dict, init=False)  # as asked for: policy, stage
 
     def slopes(self, cells: Cells, k: int) -> np.ndarray:
@@ -96,31 +96,34 @@ class Guide:
             Along position [J/m] and velocity [J s/m], (rows, columns, 2).
         """
         found, stage = np.zeros((*cells.active[k].shape, 2)), cells.stage(k)
-        if k < cells.problem.stages - 1:
+        if k < cells.legs.stages - 1 or self.closes:
+            leg, own = cells.legs.of_stage(k)
             left = np.isfinite(cells.active[k])
-            for i in range(len(self.policies) - 1, -1, -1):
-                policy, known = self.policies[i], known_cells(self.policies[i], cells, k)
+            for i in range(len(self.policies[leg]) - 1, -1, -1):
+                policy = self.policies[leg][i]
+                known = known_cells(policy, cells, k)
                 row, column = self.nearest_known(policy, cells, k, known)
-                ahead, some = self._envelope(i, k + 1, cells.setting), np.where(known & left, 0.0, np.inf)
-                follow(stage, policy.values[k + 1], policy.tables.stage, k + 1, ahead, some, row, column, found)
+                ahead, some = self._envelope(i, k, policy, own + 1), np.where(known & left, 0.0, np.inf)
+                follow(stage, policy.values[own + 1], policy.tables.stage, own + 1, ahead, some, row, column, found)
                 left &= ~known
         charge(stage, cells.active[k], found)
         return found
 
-    def _envelope(self, i: int, k: int, setting: np.ndarray) -> Envelope:
-        """The envelope of a policy's values at stage k."""
+    def _envelope(self, i: int, k: int, policy: Policy, ahead: int) -> Envelope:
+        """The envelope of the values of a leg's i-th policy, at its stage that follows stage k of all."""
         if (i, k) not in self.envelopes:
-            policy = self.policies[i]
-            line = _lines(policy.grid, setting[STEP], k)
+            line = _lines(policy.grid, policy.problem.step, ahead)
             found = Envelope(line, np.empty(line.size), np.empty(line.size))
-            min_over_next_velocity(policy.values[k], policy.tables.stage, setting, k, found)
+            setting = np.zeros(SETTINGS)
+            setting[STEP] = policy.problem.step
+            min_over_next_velocity(policy.values[ahead], policy.tables.stage, setting, ahead, found)
             self.envelopes[i, k] = found
         return self.envelopes[i, k]
 
     def nearest_known(self, policy: Policy, cells: Cells, k: int, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """For every cell the nearest known one that keeps the margin: rows, (rows,), and columns, (rows, columns)."""
-        edges, aside = cells.edges[k], MARGIN_SPACINGS * policy.tables.stage[k, DW]
-        apart = MARGIN_SPACINGS * policy.tables.stage[k, DC]
+        edges, spacing = cells.edges[k], policy.tables.stage[cells.legs.of_stage(k)[1]]
+        aside, apart = MARGIN_SPACINGS * spacing[DW], MARGIN_SPACINGS * spacing[DC]
         below, above = cells.share(k, cells.rows[k][:-1] - apart), cells.share(k, cells.rows[k][1:] + apart)
         low = np.where(below < 0.0, np.inf, self.viable.within(k, below, below)[0]) + aside
         high = np.where(above > 1.0, -np.inf, self.viable.within(k, above, above)[1]) - aside
@@ -136,14 +139,16 @@ class Guide:
 
 def known_cells(policy: Policy, cells: Cells, k: int) -> np.ndarray:
     """Mask of the cells of a stage that are far enough from the sides of a policy's grid, (rows, columns)."""
-    grid, rows, edges = policy.grid, cells.rows[k], cells.edges[k]
-    inset_c, inset_w = UNUSED_SHARE * (grid.c_hi[k] - grid.c_lo[k]), UNUSED_SHARE * (grid.w_hi[k] - grid.w_lo[k])
-    limit = cells.problem.crane.machine.redundant.velocity_limit
+    rows, edges, own = cells.rows[k], cells.edges[k], cells.legs.of_stage(k)[1]
+    grid = policy.grid
+    c_lo, c_hi, w_lo, w_hi = (side[own] for side in (grid.c_lo, grid.c_hi, grid.w_lo, grid.w_hi))
+    inset_c, inset_w = UNUSED_SHARE * (c_hi - c_lo), UNUSED_SHARE * (w_hi - w_lo)
+    limit = cells.legs.velocity_limit
     # Sides that are limits of the motion itself count for nothing.
-    low_c = -np.inf if grid.c_lo[k] <= cells.problem.lower[k] else grid.c_lo[k] + inset_c
-    high_c = np.inf if grid.c_hi[k] >= cells.problem.upper[k] else grid.c_hi[k] - inset_c
-    low_w = -np.inf if grid.w_lo[k] <= -limit else grid.w_lo[k] + inset_w
-    high_w = np.inf if grid.w_hi[k] >= limit else grid.w_hi[k] - inset_w
+    low_c = -np.inf if c_lo <= policy.problem.lower[own] else c_lo + inset_c
+    high_c = np.inf if c_hi >= policy.problem.upper[own] else c_hi - inset_c
+    low_w = -np.inf if w_lo <= -limit else w_lo + inset_w
+    high_w = np.inf if w_hi >= limit else w_hi - inset_w
     row = (rows[:-1] >= low_c) & (rows[1:] <= high_c)
     return row[:, None] & (edges[:, :-1] >= low_w) & (edges[:, 1:] <= high_w)
 
@@ -154,17 +159,35 @@ def _lines(grid: Grid, step: float, k: int) -> np.ndarray:
     return np.linspace(low, high, 2 * grid.positions)
 
 
-def make(problem: Problem, cost: str, viable: Viable, beside: Motion) -> Guide:
-    """The guide of a problem: solve it on a grid of everything feasible and on one around a motion."""
-    full = grids.full_grid(problem, *GRID)
-    tube = grids.tube_grid(problem, beside.position, beside.velocity, HALF_WIDTH, HALF_HEIGHT, *TUBE)
-    end = starts.end_position(problem, float(beside.position[0]))
-    return Guide(tuple(value_function.solve(problem, each, cost, end=end) for each in (full, tube)), viable)
+def make(
+    legs: Legs, cost: str, viable: Viable, beside: Motion, end: float | None = None,
+    multiplier: np.ndarray | None = None,
+) -> Guide:  # fmt: skip
+    """The guide of legs: solved on a grid of everything feasible and on one around a motion, from the last leg on.
+
+    Args:
+        legs: The discretised task.
+        cost: "ls" or "cp".
+        viable: Velocities from which motions can go on within the limits.
+        beside: The motion, on the stages of all legs.
+        end, multiplier: As in `lower_bounds.bound`.
+    """
+    policies: list[tuple[Policy, ...]] = []
+    after, last = multiplier, len(legs.problems) - 1
+    for i in range(last, -1, -1):
+        problem, here = legs.problems[i], legs.part(i)
+        full = grids.full_grid(problem, *GRID)
+        tube = grids.tube_grid(problem, beside.position[here], beside.velocity[here], HALF_WIDTH, HALF_HEIGHT, *TUBE)
+        terminal = None if after is None else value_function.resting(problem, cost, *after)
+        ends = end if i == last else None
+        policies.append(tuple(value_function.solve(problem, each, cost, terminal, ends) for each in (full, tube)))
+        after = value_function.rest_costs(policies[-1][0])
+    return Guide(tuple(policies[::-1]), viable, multiplier is not None)
 
 
-def memory(problem: Problem) -> float:
-    """Bytes that making the guide of a problem takes."""
-    return value_function.memory(problem.stages, *GRID) + value_function.memory(problem.stages, *TUBE)
+def memory(legs: Legs) -> float:
+    """Bytes that making the guide of legs takes."""
+    return sum(value_function.memory(each.stages, *nodes) for each in legs.problems for nodes in (GRID, TUBE))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

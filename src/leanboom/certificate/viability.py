@@ -42,7 +42,7 @@ class Viable:
 
 def viable_velocities(
     bins: int, rows: tuple[np.ndarray, ...], model: tuple[np.ndarray, ...], columns: list[np.ndarray],
-    cylinder: np.ndarray, step: float,
+    cylinder: np.ndarray, step: np.ndarray,
 ) -> Viable:  # fmt: skip
     """The viable velocities of every stage.
 
@@ -52,7 +52,7 @@ def viable_velocities(
         model: Enclosures of the coefficients over rows, (rows, moving, COEFFICIENTS, 4) a stage.
         columns: Velocities of each row that keep the velocity limits [m/s], (rows, 2) a stage.
         cylinder: (moving, layout.CYLINDER_COLUMNS).
-        step: Length of a stage [s].
+        step: Lengths of the stages [s], (stages,).
 
     Returns:
         The viable velocities; at the last stage only rest.
@@ -61,7 +61,7 @@ def viable_velocities(
     low, high = np.zeros((n + 1, bins)), np.zeros((n + 1, bins))
     for k in range(n - 1, -1, -1):
         stage_velocities(
-            model[k], cylinder, step, rows[k], rows[k + 1], columns[k], low[k + 1], high[k + 1], low[k], high[k]
+            model[k], cylinder, step[k], rows[k], rows[k + 1], columns[k], low[k + 1], high[k + 1], low[k], high[k]
         )
     return Viable(low, high)
 

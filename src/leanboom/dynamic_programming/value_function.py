@@ -337,6 +337,17 @@ def from_rest(policy: Policy) -> np.ndarray:
     return policy.values[0, :, column] + policy.setting[layout.SLOPE_C] * policy.tables.outside[0]
 
 
+def rest_costs(policy: Policy) -> tuple[np.ndarray, np.ndarray]:
+    """Extensions at the first stage of a policy [m], and least costs from rest there."""
+    return np.linspace(policy.grid.c_lo[0], policy.grid.c_hi[0], policy.grid.positions), from_rest(policy)
+
+
+def resting(problem: Problem, cost: str, at: np.ndarray, costs: np.ndarray) -> Terminal:
+    """Terminal cost of motions that end at rest, and that of what follows from there: linear between extensions [m]."""
+    steep = slopes(problem, cost)[1]
+    return lambda position, velocity: np.interp(position, at, costs) + steep * np.abs(velocity)
+
+
 def prepare() -> None:
     """Load the compiled kernels, compiling them on the very first run, by solving a problem of a few nodes."""
     coefficients = np.zeros((2, 2, 1, layout.COEFFICIENTS))

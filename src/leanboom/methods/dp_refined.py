@@ -28,7 +28,6 @@ from leanboom.fixed_mode import modes
 from leanboom.fixed_mode.modes import Modes, Polisher
 from leanboom.methods import pseudo_inverse
 from leanboom.methods.registry import EFFORTS, Effort, Settings
-from leanboom.model import motion
 from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import feasible_strokes, stages, starts
@@ -227,7 +226,7 @@ class Search:
         chain: Evaluation | None = None
         for level in levels:
             self.tell(f"tubes of 1/{2**level} width", 0.3 + 0.1 * level)
-            at = self.ended(problem, seed if chain is None else chain.motion)
+            at = starts.ended(problem, seed if chain is None else chain.motion)
             half = 0.5**level
             widths = half * WIDTH * (high - low), half * SPREAD * self.span
             tube = grids.tube_grid(problem, at.position, at.velocity, *widths, *self.nodes(problem, level))
@@ -357,7 +356,7 @@ class Search:
         polisher = self.polisher(problem)
         best: Evaluation | None = None
         for _ in range(rounds if self.loads else 1):  # without loads no modes, no second round
-            at = self.ended(problem, seed)
+            at = starts.ended(problem, seed)
             switches = modes.modes(polisher, at)
             if self.loads and any(switches.same_as(known) for known in self._polished):
                 break
@@ -399,12 +398,6 @@ class Search:
         found = self.judge(answer, f"polish with tightened limits ({text})")
         self.tightened = found if self.best is found else self.tightened
         return found
-
-    def ended(self, problem: Problem, seed: Motion) -> Motion:
-        """A motion on a problem's stages that ends where the task asks."""
-        at = stages.on_stages(problem, seed)
-        end = starts.end_position(problem, float(at.position[0]))
-        return at if end is None else motion.ending_at(at, end)
 
     def polish_alone(self) -> Evaluation:
         """The polish from the pseudo-inverse: nonlinear programming without the dynamic program."""

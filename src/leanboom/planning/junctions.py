@@ -128,7 +128,7 @@ def coarse(given: Chain) -> np.ndarray:
     for start in closed_cycle.common_lengths(given.problems[0], given.problems[-1]).tolist():
         first = _backward(given, (nodes[0], nodes[1]), _closing(given.pins, start))[0]
         assert first is not None  # or the start would be given
-        found.append((float(np.interp(start, *at_rest(first))), start))
+        found.append((float(np.interp(start, *value_function.rest_costs(first))), start))
     pins = _closing(given.pins, min(found)[1])
     return _forward(given, _backward(given, given.grid, pins), pins)
 
@@ -136,12 +136,6 @@ def coarse(given: Chain) -> np.ndarray:
 def _closing(pins: Pins, start: float) -> Pins:
     """Given extensions, with a start that is the end as well."""
     return (start, *pins[1:-1], start)
-
-
-def at_rest(policy: Policy) -> tuple[np.ndarray, np.ndarray]:
-    """Extensions at the first stage of a policy [m], and least costs from rest there."""
-    nodes = np.linspace(policy.grid.c_lo[0], policy.grid.c_hi[0], policy.grid.positions)
-    return nodes, value_function.from_rest(policy)
 
 
 def _backward(given: Chain, nodes: tuple[int, int], pins: Pins) -> list[Policy | None]:
@@ -159,21 +153,10 @@ def _backward(given: Chain, nodes: tuple[int, int], pins: Pins) -> list[Policy |
             after = None if end is not None else terminal
             with named(i):
                 policy, _ = coarse_policy(given.problems[i], nodes, given.cost, shown, end, terminal=after)
-            terminal = then(given.problems[i - 1], given.cost, *at_rest(policy)) if i else None
+            costs = value_function.rest_costs(policy)
+            terminal = value_function.resting(given.problems[i - 1], given.cost, *costs) if i else None
         policies.insert(0, policy)
     return policies
-
-
-def then(problem: Problem, cost: str, nodes: np.ndarray, costs: np.ndarray) -> Terminal:
-    """Terminal cost of a leg: that of all after it from where it ends, which is at rest.
-
-    Args:
-        problem: The leg.
-        cost: What is minimised.
-        nodes, costs: Extensions [m], and what all after it costs from there, see `at_rest`.
-    """
-    steep = value_function.slopes(problem, cost)[1]
-    return lambda position, velocity: np.interp(position, nodes, costs) + steep * np.abs(velocity)
 
 
 def _forward(given: Chain, policies: Sequence[Policy | None], pins: Pins) -> np.ndarray:

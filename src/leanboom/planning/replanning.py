@@ -181,7 +181,7 @@ def _swept(
         policy = value_function.solve(problem, over[i], cost, terminal, starts.end_position(problem, None))
         policies.insert(0, policy)
         if i:
-            terminal = junctions.then(left[i - 1].problem, cost, *junctions.at_rest(policy))
+            terminal = value_function.resting(left[i - 1].problem, cost, *value_function.rest_costs(policy))
     found: list[Motion] = []
     for policy in policies:
         found.append(value_function.rollout(policy, position, velocity=velocity))

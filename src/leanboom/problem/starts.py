@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from leanboom.errors import InputError
+from leanboom.model import motion
+from leanboom.model.motion import Motion
 from leanboom.model.task import Task
 from leanboom.problem import stages
 from leanboom.problem.stages import Problem
@@ -46,6 +48,13 @@ def end_position(problem: Problem, start: float | None) -> float | None:
         said = f"end = same, and the start is {length:.4f} m" if end == "same" else f"end = {length:g} m"
         raise InputError(f"{said}; feasible at the end of this path: {allowed}")
     return length
+
+
+def ended(problem: Problem, seed: Motion) -> Motion:
+    """A motion on a problem's stages that ends where the task asks."""
+    at = stages.on_stages(problem, seed)
+    end = end_position(problem, float(at.position[0]))
+    return at if end is None else motion.ending_at(at, end)
 
 
 def settled(task: Task, step: float) -> Task:
