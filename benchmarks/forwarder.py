@@ -4,14 +4,15 @@ The paper's bars have no numbers; its text says how energies compare, `study.pap
 printed: the pins (the assumed ones, or those of a public model), masses, friction, and where the three paths are and
 which way the straight ones go; durations, lengths and peak speeds are printed.
 
-Places of each path are sampled over their bounds and judged on four cranes of each pins: light and heavy, of little and
-of much friction. Paths share the crane and nothing else, so every crane has its best place of each path; those of the
-best crane are refined by Nelder and Mead's simplex. The misfit is the root of the sum, over all statements, of the
-squared logarithm of the factor that is missing to the range. Motions are `plan`'s from a coarse grid and of little
-effort; the best motion for a pump is the best of all at hand.
+Places of each path are sampled over their bounds and judged on four cranes of each pins, `CRANES`, each with more
+friction or mass than the one before. Paths share the crane and nothing else, so every crane has its best place of each
+path; those of the best crane are refined by Nelder and Mead's simplex. The misfit is the root of the sum, over all
+statements, of the squared logarithm of the factor that is missing to the range. Motions are `plan`'s from a coarse grid
+and of little effort; the best motion for a pump is the best of all at hand.
 
-What is judged is kept in a file, and a search that was interrupted goes on there. Twenty minutes of one core
-(`LEANBOOM_THREADS=1`). `--closed-loop` judges the refined places by simulations as well.
+What is judged is kept in a file, and a search that was interrupted goes on there. A quarter of an hour of one
+core (`LEANBOOM_THREADS=1`). `--closed-loop` simulates the refined places as well;
+`--explaining` shows the crane and places of `forwarder.explaining` instead.
 """
 
 from __future__ import annotations
@@ -107,13 +108,12 @@ def driven(task: Task, motions: Mapping[str, Motion]) -> Energies:
     return {name: (ls.energy, cp.energy) for name, (ls, cp) in runs.items()}
 
 
-def solve(pins: str, path: str, place: tuple[float, ...], cranes: Sequence[Crane]) -> list[dict[str, Motion]]:
-    """Motions of all solutions on a path at a place, by cranes of the same pins.
+def solve(tasks: Sequence[Task]) -> list[dict[str, Motion]]:
+    """Motions of all solutions of tasks that differ in masses and friction alone.
 
     Raises:
         LeanboomError: The path cannot be followed.
     """
-    tasks = [task_of(crane, pins, path, place) for crane in cranes]
     start = starts.start_position(stages.discretise(tasks[0], STEP), "smallest")
     if start is None:
         raise InfeasibleError("no start")
@@ -151,8 +151,8 @@ class Kept:
         key = json.dumps([pins, path, place, [astuple(crane) for crane in cranes]])
         if key not in self.known:
             try:
-                every = solve(pins, path, place, cranes)
-                found = [judged(task_of(c, pins, path, place), one) for c, one in zip(cranes, every, strict=True)]
+                tasks = [task_of(crane, pins, path, place) for crane in cranes]
+                found = [judged(task, motions) for task, motions in zip(tasks, solve(tasks), strict=True)]
             except LeanboomError:
                 found = []
             self.known[key] = found
@@ -235,30 +235,41 @@ def apart(kept: Kept) -> None:
                 print(f"  {path}: {a.text} / {b.text}: a factor of {np.exp(least):.2f} is missing")
 
 
+def show(path: str, task: Task, simulate: bool) -> None:
+    """What is said of a path, beside a task's ratios: as planned, and in closed loop if asked for."""
+    (motions,) = solve([task])
+    for what, energies in (
+        ("planned", judged(task, motions)),
+        *([("driven", driven(task, motions))] if simulate else []),
+    ):
+        print(f" {what}, misfit {squares(path, energies) ** 0.5:.3f}")
+        print("\n".join(row(statement, energies) for statement in of(path)), flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.forwarder", description="Which statements hold at once")
     parser.add_argument("--pins", choices=PINS, action="append", help="only these")
-    parser.add_argument("--samples", type=int, default=10, help="places of each path")
+    parser.add_argument("--samples", type=int, default=6, help="places of each path")
     parser.add_argument("--refine", type=int, default=14, help="places judged around the best one of each path")
     parser.add_argument("--seed", type=int, default=1, help="of the samples")
     parser.add_argument("--closed-loop", action="store_true", help="simulate the refined places")
     parser.add_argument("--folder", type=Path, default=FOLDER, help="where what is judged is kept")
+    parser.add_argument("--explaining", action="store_true", help="show what `forwarder.explaining` has, no search")
     options = parser.parse_args()
     began = time.process_time()
+    if options.explaining:
+        for path in BOUNDS:
+            print(path)
+            show(path, forwarder.explaining(lb.load_task(f"forwarder-{path}"), path), options.closed_loop)
+        return
     kept = Kept(options.folder)
     for pins in options.pins or PINS:
         crane, places = search(kept, pins, options.samples, options.seed)
         print(f"\nrefined: {pins} pins, {crane}")
         for path, place in places.items():
             there = refined(kept, pins, path, crane, place, options.refine)
-            energies = kept.energies(pins, path, there, [crane])[0]
-            print(f"{path} {there}, misfit {squares(path, energies) ** 0.5:.3f}")
-            print("\n".join(row(statement, energies) for statement in of(path)), flush=True)
-            if options.closed_loop:
-                task = task_of(crane, pins, path, there)
-                energies = driven(task, solve(pins, path, there, [crane])[0])
-                print(" in closed loop:")
-                print("\n".join(row(statement, energies) for statement in of(path)), flush=True)
+            print(f"{path} {there}")
+            show(path, task_of(crane, pins, path, there), options.closed_loop)
     apart(kept)
     print(f"\n{time.process_time() - began:.0f} s of processor time")
 

@@ -224,7 +224,7 @@ def _path_lines(path: str, got: Records) -> list[Line]:
 def _measured(closed: float | None) -> str:
     """Why a planned ratio differs from one that is measured on the real crane."""
     driven = "" if closed is None else f"{closed:.3f} in closed loop; "
-    return f"{driven}on another crane and path as printed (section of statements)"
+    return f"{driven}the section of statements has another crane and place"
 
 
 def _tracking_jobs() -> dict[str, Job]:

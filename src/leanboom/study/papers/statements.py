@@ -75,7 +75,7 @@ STATEMENTS = (
     Statement("vertical", "LS: pseudo-inverses almost twice the best", 1.65, 2.05, _over("ls", *POINTWISE)),
     Statement("vertical", "LS: least actuator work is not least energy", 1.02, inf, _over("ls", "DP (A. En.)")),
     Statement("vertical", "LS: the CP optimum is adequate", 1.0, 1.10, _over("ls", "DP (CP)")),
-    Statement("vertical", "best CP energy about double the best LS energy", 1.75, 2.25, _double),
+    Statement("vertical", "best CP energy about double the best LS energy", 1.70, 2.30, _double),
     Statement("vertical", "CP: pseudo-inverses are inferior", 1.05, inf, _over("cp", *POINTWISE)),
     Statement("half-cycle", "LS: all solutions are fairly similar", 1.0, 1.20, _over("ls", *SOLUTIONS)),
     Statement("half-cycle", "LS: least actuator work is optimal too", 1.0, 1.03, _over("ls", "DP (A. En.)")),
