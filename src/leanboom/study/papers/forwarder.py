@@ -152,8 +152,8 @@ def explaining(task: Task, path: str) -> Task:
     return replace(task, machine=rubbing(pinned(task.machine, "public"), *FRICTION), path=PLACES[path])
 
 
-# Found by `benchmarks.forwarder`: the friction of the public model, that of the extension [N] twice as much; closed loop
-# chose between places of nearly the same misfit.
+# Found by `benchmarks.forwarder`: the friction of the public model, that of the extension [N] twice as much. Closed
+# loop chose between places of nearly the same misfit.
 FRICTION = 0.10, 12e3
 PLACES = {
     "horizontal": Lines(((4.36, 0.0, 3.15), (7.56, 0.0, 3.15)), (10.0,)),
