@@ -17,7 +17,7 @@ from leanboom.errors import InputError, LeanboomError
 from leanboom.methods.registry import METHODS as REGISTRY
 from leanboom.model import motion
 from leanboom.model.outcome import SOLVED, Kind, Outcome
-from leanboom.planning import summaries
+from leanboom.planning import planner, summaries
 from leanboom.report import figures
 from leanboom.study import comparison, processes
 from leanboom.study.comparison import Entry
@@ -110,6 +110,18 @@ def test_feasible_rows_lead_by_energy_then_broken_ones_then_failures(faked, task
 def test_one_solution_serves_both_pumps(faked, task):
     lb.compare(task, methods=["dp:ls"])
     assert [(entry.label, pumps) for _, entry, pumps, _ in faked] == [("dp (ls)", ("ls", "cp"))]
+
+
+def test_a_motion_is_simulated_in_the_timing_that_was_planned(monkeypatch, task):
+    """It lasts as long as that; in the path's own timing there was no simulation, and a dash in its column."""
+    faster, driven = replace(task, path=task.path.slower(0.5)), []
+    judged = lb.evaluate(faster, motion.held(0.7, 3.0, "dp", "cp"))
+    plan = planner.Plan(faster, "cp", judged.motion, judged, None, 1)
+    monkeypatch.setattr(comparison, "plan_row", lambda *asked, **settings: plan)
+    monkeypatch.setattr(comparison, "_simulated", lambda task, motion, pump: driven.append(task) or {})
+    comparison.solve((replace(task, timing="shortest"), Entry("dp", "cp"), ("cp",), True))
+    assert driven == [faster]
+    assert comparison._start_position(replace(task, timing="shortest", start=0.7)) == 0.7
 
 
 def test_a_failed_method_is_a_row_without_numbers(faked, task):

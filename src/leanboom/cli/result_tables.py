@@ -191,9 +191,10 @@ def comparison(console: Console, result: Comparison, out: Path | None) -> None:
     for start in result.starts:
         for pump in result.pumps:
             where = start if isinstance(start, str) else length(start)
-            say(console, f"{name}: {PUMPS[pump]}, {where} start, {task.duration:g} s", "bold")
-            console.print()
             best = result.best(pump, start)
+            lasts = task.duration if best is None else best.summary["duration_s"]  # its timing may be planned
+            say(console, f"{name}: {PUMPS[pump]}, {where} start, {lasts:g} s", "bold")
+            console.print()
             more = ("simulated\nkJ",) if any(row.simulated is not None for row in result.rows) else ()
             table = new_table(
                 "Method (minimised cost)", "energy\nkJ", "relative", *more, "solved\ns", "", numbers=4 + len(more)
