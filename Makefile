@@ -7,6 +7,12 @@ READY := .venv/.ready
 PIP := $(BIN)/python -m pip -qq --disable-pip-version-check --no-input
 KERNEL_TESTS := tests/test_kernels.py tests/test_interior_point.py
 
+define CHECKS
+{ $(BIN)/ruff format --quiet --check || { echo "Run: $(BIN)/ruff format" >&2; false; }; } \
+&& $(BIN)/ruff check --quiet && $(BIN)/pyright --warnings \
+&& { report=$$($(BIN)/lint-imports --no-cache --no-logo 2>&1) || { echo "$$report"; false; }; }
+endef
+
 # The lock is the only source of versions; no tool looks for newer ones.
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
@@ -39,7 +45,7 @@ demo: $(READY) ## Plan the half-cycle of a forwarder crane and write its report 
 	@echo "Open demo/report.html in a browser."
 
 test: $(READY) ## Run the checks and, at the same time, all tests but the slow ones
-	@$(MAKE) --no-print-directory lint & checks=$$!; \
+	@( $(CHECKS) ) & checks=$$!; \
 	$(BIN)/python -m pytest -q --numprocesses 2 --dist worksteal -m "not slow"; tests=$$?; \
 	wait $$checks && exit $$tests
 
@@ -48,10 +54,7 @@ slow: $(READY) ## Run the slow tests, and those of the kernels with indices chec
 	@$(BIN)/python -m pytest -q --numprocesses 2 --dist worksteal -m slow
 
 lint: $(READY) ## Check format, style, types and layers
-	@$(BIN)/ruff format --quiet --check || { echo "Run: $(BIN)/ruff format" >&2; exit 1; }
-	@$(BIN)/ruff check --quiet
-	@$(BIN)/pyright --warnings
-	@report=$$($(BIN)/lint-imports --no-cache --no-logo 2>&1) || { echo "$$report"; exit 1; }
+	@$(CHECKS)
 
 bench: $(READY) ## Measure time, memory and energy
 	@$(BIN)/python -m benchmarks.run
