@@ -99,3 +99,5 @@ def test_a_statement_holds_where_all_its_ratios_are_in_its_range():
     assert poor.span == "at least 1.15" and poor.missing(told | {"DP (ext.)": (1.0, 1.7)}) == pytest.approx(
         np.log(1.15)
     )
+    similar = statements.of("half-cycle")[0]
+    assert similar.span == "at most 1.20" and similar.decisive(told) == 1.3  # not the best's own ratio, 1

@@ -162,7 +162,7 @@ def _statements(lines: list[Line]) -> Table:
     for i, statement in enumerate(statements.STATEMENTS):
         found = [line.ours for line in lines[cases * i : cases * (i + 1)]]
         held = [value is not None and statement.low <= value <= statement.high for value in found]
-        texts = [number(value, 2) for value in found]
+        texts = [number(value) for value in found]
         texts = [f"**{text}**" if holds else text for text, holds in zip(texts, held, strict=True)]
         rows.append([f"{statement.path}, {statement.text}", statement.span, *texts])
     return ["what the paper says", "range", *experiments.CASES], rows, False

@@ -67,7 +67,7 @@ def _forwarder_job(path: str, start: str, row: printed_values.Entry) -> Job:
 # Tables 2 and 3.
 
 CLOSE = 0.02  # ratios that differ by less need no reason
-INFERRED = "no triangle gives all rows at once; the last section has a variation nearer to this one"
+INFERRED = "no triangle gives all rows at once; the last section has the variation nearest to the printed value"
 SIZED = "no triangle gives all rows at once (page triangle)"
 LOCAL = "another local method: this one ends at the optimum, the printed one did not"
 WHY = {("table2", "fmincon (CP)"): LOCAL, ("table3", "fmincon (LS)"): LOCAL}
@@ -97,7 +97,7 @@ def _table_lines(name: str, rows: tuple[printed_values.Entry, ...], pump: str, g
             lines.append(replace(line, why="; ".join(filter(None, (line.why, _broken(mine))))))
     for row, planned in zip(rows, tuple(lines), strict=True):
         ours = ratio(got[row.name], best, DRIVEN[pump])
-        why = "" if planned.difference is None else f"planned {planned.difference:+.3f}, which closed loop keeps"
+        why = "" if planned.difference is None else f"{planned.difference:+.3f} as planned already"
         lines.append(_line(name, row.name + FULL, row.full, ours, why))
     return lines
 
@@ -224,7 +224,7 @@ def _path_lines(path: str, got: Records) -> list[Line]:
 def _measured(closed: float | None) -> str:
     """Why a planned ratio differs from one that is measured on the real crane."""
     driven = "" if closed is None else f"{closed:.3f} in closed loop; "
-    return f"{driven}the section of statements has another crane and place"
+    return f"{driven}what the paper says of energies, below, has another crane and place"
 
 
 def _tracking_jobs() -> dict[str, Job]:

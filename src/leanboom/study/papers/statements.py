@@ -37,14 +37,16 @@ class Statement:
 
     def _off(self, ratio: float) -> float:
         """Logarithm of the factor beyond the nearer end of the range, negative inside."""
-        return max(log(self.low / ratio), log(ratio / self.high) if self.high < inf else -inf)
+        below = log(self.low / ratio) if self.low > 0.0 else -inf
+        above = log(ratio / self.high) if self.high < inf else -inf
+        return max(below, above)
 
     @property
     def span(self) -> str:
         """The range, in words."""
         if self.high == inf:
             return f"at least {self.low:.2f}"
-        return f"at most {self.high:.2f}" if self.low == 1.0 else f"{self.low:.2f} to {self.high:.2f}"
+        return f"at most {self.high:.2f}" if self.low == 0.0 else f"{self.low:.2f} to {self.high:.2f}"
 
 
 def best(energies: Energies, pump: str) -> float:
@@ -68,18 +70,18 @@ def _same(energies: Energies) -> tuple[float, ...]:
 STATEMENTS = (
     Statement("horizontal", "LS: pseudo-inverses 25 % above the best", 1.20, 1.30, _over("ls", *POINTWISE)),
     Statement("horizontal", "CP: pseudo-inverses about 30 % above the best", 1.23, 1.37, _over("cp", *POINTWISE)),
-    Statement("horizontal", "LS: least actuator work is similar", 1.0, 1.06, _over("ls", "DP (A. En.)")),
-    Statement("horizontal", "LS: the CP optimum is adequate", 1.0, 1.10, _over("ls", "DP (CP)")),
+    Statement("horizontal", "LS: least actuator work is similar", 0.0, 1.06, _over("ls", "DP (A. En.)")),
+    Statement("horizontal", "LS: the CP optimum is adequate", 0.0, 1.10, _over("ls", "DP (CP)")),
     Statement("horizontal", "LS: least use of the extension is poor", 1.15, inf, _over("ls", "DP (ext.)")),
     Statement("horizontal", "best CP energy = LS energy of pseudo-inverses", 0.93, 1.07, _same),
     Statement("vertical", "LS: pseudo-inverses almost twice the best", 1.65, 2.05, _over("ls", *POINTWISE)),
     Statement("vertical", "LS: least actuator work is not least energy", 1.02, inf, _over("ls", "DP (A. En.)")),
-    Statement("vertical", "LS: the CP optimum is adequate", 1.0, 1.10, _over("ls", "DP (CP)")),
+    Statement("vertical", "LS: the CP optimum is adequate", 0.0, 1.10, _over("ls", "DP (CP)")),
     Statement("vertical", "best CP energy about double the best LS energy", 1.70, 2.30, _double),
     Statement("vertical", "CP: pseudo-inverses are inferior", 1.05, inf, _over("cp", *POINTWISE)),
-    Statement("half-cycle", "LS: all solutions are fairly similar", 1.0, 1.20, _over("ls", *SOLUTIONS)),
-    Statement("half-cycle", "LS: least actuator work is optimal too", 1.0, 1.03, _over("ls", "DP (A. En.)")),
-    Statement("half-cycle", "LS: the joints' pseudo-inverse is comparable", 1.0, 1.10, _over("ls", "P-inv. (j.)")),
+    Statement("half-cycle", "LS: all solutions are fairly similar", 0.0, 1.20, _over("ls", *SOLUTIONS)),
+    Statement("half-cycle", "LS: least actuator work is optimal too", 0.0, 1.03, _over("ls", "DP (A. En.)")),
+    Statement("half-cycle", "LS: the joints' pseudo-inverse is comparable", 0.0, 1.10, _over("ls", "P-inv. (j.)")),
     Statement("half-cycle", "CP: pseudo-inverses are inferior", 1.05, inf, _over("cp", *POINTWISE)),
 )
 
