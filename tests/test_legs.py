@@ -317,6 +317,7 @@ def test_a_cycle_lasts_as_long_as_is_asked_for():
 
 def test_a_cycles_motion_is_made_slower_leg_by_leg(plan):
     point = pareto.Point(CYCLE, 13.0, "cp", plan, plan.status)
+    assert point.json()["duration_s"] == 13.0
     longer = pareto.Kept(CYCLE, 2.0, {}).lasting(24.0)
     (seed,) = pareto._motions(point, longer)
     for time, before in ((5.0, 2.5), (11.0, 6.0), (18.0, 10.0), (24.0, 13.0)):

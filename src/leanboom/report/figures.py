@@ -87,9 +87,10 @@ def durations(result: Pareto) -> bytes:
             if pairs:
                 panel.plot(*zip(*pairs, strict=True), style, color=colour, markersize=4, linewidth=1.2,
                            alpha=1.0 if method == "least energy" else 0.6, label=f"{method}, {name}")  # fmt: skip
-    panel.axvline(result.task.duration, color=GREY, linewidth=0.8, linestyle=":", label="the task's own duration")
-    panel.set_ylim(bottom=0.0)
-    panel.set_xlabel("duration of the path [s]", fontsize=8)
+    if all(leg.duration is None or isinstance(leg.duration, float) for leg in result.task.legs):
+        panel.axvline(result.task.duration, color=GREY, linewidth=0.8, linestyle=":", label="the task's own duration")
+    panel.set_ylim(0.0, 1.05 * panel.get_ylim()[1])
+    panel.set_xlabel(f"duration of the {'cycle' if result.task.legs else 'path'} [s]", fontsize=8)
     panel.set_ylabel("pump energy [kJ]", fontsize=8)
     figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     panel.set_title(f"{result.task.name}: energy against duration", fontsize=10, loc="left")
