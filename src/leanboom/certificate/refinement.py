@@ -7,6 +7,7 @@ which slopes its planes get, on what each kind of slopes left open on the level 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache, partial
 
@@ -109,15 +110,16 @@ class Course:
     reason: str = ""  # why it ended
     multiplier: np.ndarray | None = None  # where motions close, as `lower_bounds.bound` has it
 
-    def __post_init__(self) -> None:
-        if self.goal.closed:
-            legs = self.goal.legs
-            self.multiplier = np.array([[legs.lower[0], max(legs.upper[0], legs.lower[0] + LEAST_RANGE)], [0.0, 0.0]])
-
     @property
     def gap(self) -> float:
         """Gap that is proven [%]."""
         return gap_between(self.goal.best.energy, self.lower)
+
+    def begin_free(self) -> None:
+        """Begin a whole level of closed motions with a free end: with larger cells' multiplier it may say less."""
+        if self.goal.closed:
+            low, high = float(self.goal.legs.lower[0]), float(self.goal.legs.upper[0])
+            self.multiplier = np.array([[low, max(high, low + LEAST_RANGE)], [0.0, 0.0]])
 
     def bound(
         self, kept: Cells, check: Callable[[float], None], guide: lower_bounds.GivenSlopes | None = None,
@@ -188,11 +190,16 @@ def levels(course: Course) -> Iterator[Level]:
 def coarse_level(course: Course, times: tuple[int, int], hurry: bool) -> tuple[Bounds, Level]:
     """A level of coarse cells, finished whatever the time unless `hurry` is set."""
     goal, kept = course.goal, course.goal.cells(times)
-    clock = course.begin(kept)
-    check = clock if hurry else lambda share: None
-    found = course.bound(kept, check, coarse=True)
-    if times == partition.COARSE[0] and goal.closed:  # so soon that another pass costs next to nothing
-        found = max(found, course.bound(kept, check, coarse=True), key=lambda each: each.lower)
+
+    def bound() -> Bounds:
+        clock = course.begin(kept)
+        return course.bound(kept, clock if hurry else lambda share: None, coarse=True)
+
+    course.begin_free()
+    found = bound()
+    if goal.closed:
+        with suppress(OutOfTime):
+            found = max(found, bound(), key=lambda each: each.lower)
     goal.check(found, True)
     course.coarse.append(times)
     return found, course.level(_size(kept), kept.count, min(found.lower, goal.best.energy))
@@ -207,6 +214,7 @@ def _finer_levels(course: Course, found: Bounds) -> Iterator[Level]:
     times = finest_in_time(needed, course.rate, budget.seconds - budget.spent, room())
     if times == FINEST:
         kept, whole = goal.cells(FINEST), True
+        course.begin_free()
     elif times is not None and course.gap > goal.gap:
         found, level = coarse_level(course, times, hurry=True)
         yield level
