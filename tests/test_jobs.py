@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
+import sys
 
 import pytest
 
@@ -60,6 +62,17 @@ def test_each_process_keeps_to_one_thread_in_sweeps_too():
     """It told numba alone, but sweeps ask `resources.threads`, which counted the cores."""
     (outcome,) = processes.each(allowed, [None])
     assert outcome.value == "1"
+
+
+def loaded(_):
+    return [name for name in ("scipy.signal", "scipy.interpolate", "numba") if name in sys.modules]
+
+
+@pytest.mark.skipif("forkserver" not in multiprocessing.get_all_start_methods(), reason="processes start empty there")
+def test_what_every_process_needs_is_imported_once():
+    """Each imported SciPy's filters and splines anew, 0.8 s of processor time."""
+    (outcome,) = processes.each(loaded, [None])
+    assert outcome.value == ["scipy.signal", "scipy.interpolate", "numba"]
 
 
 def test_nothing_to_do():

@@ -19,6 +19,7 @@ PRELOADED = (
     "leanboom.planning.planner",
     "leanboom.fixed_mode.modes",
     "leanboom.evaluation.evaluate",
+    "scipy.signal",  # to filter what is judged; with `scipy.interpolate`, of paths, a second of processor time
 )  # what every process needs, imported once
 STARTING, VALUE, REFUSAL, FAILURE = "starting", "value", "refusal", "failure"
 
