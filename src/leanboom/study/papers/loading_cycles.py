@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from leanboom.components.costs import PUMPS
 from leanboom.io import loading
 from leanboom.methods import registry
+from leanboom.model.outcome import SOLVED
 from leanboom.model.task import Task
 from leanboom.study.papers.jobs import Job, Line, Record, Records
 
-PUMPS = ("ls", "cp")
 FORWARDER, LOADER = "forwarder-cycle", "loader-cycle"
 FASTEST, WRITTEN = "loading in the shortest time", "loading in its written time"
 POINTWISE = "pseudo-inverse"
@@ -65,7 +66,7 @@ def _of(name: str, record: Record, pump: str) -> list[Line]:
     """Time and energies of a cycle, whole and by leg."""
     joules = [record[f"energy_{pump}_j"], *record[f"leg_{pump}_j"]]
     whats = ["energy", *(f"leg {i}" for i in range(1, len(joules)))]
-    status = "" if record["status"] == "solved" else record["status"]
+    status = "" if record["status"] == SOLVED else record["status"]
     time = sum(record["leg_s"]) if record["leg_s"] else None
     found = [Line("cycles", f"{name}: time [s]", None, time, status)]
     for what, energy in zip(whats, joules, strict=True):
